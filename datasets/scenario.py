@@ -1,0 +1,273 @@
+"""The nouns of the data room: what a recording is, and what a method may see of it.
+
+World axes and signs are the recording's own; gravity and the ground plane are therefore data, not conventions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+__all__ = ["Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera. ``intrinsics`` (3, 3) in pixels; ``camera_to_world`` (4, 4), OpenCV axes (x right, y down, z forward), metres."""
+
+    intrinsics: np.ndarray
+    camera_to_world: np.ndarray
+    width: int
+    height: int
+
+    def __post_init__(self):
+        _own(self, "intrinsics", (3, 3))
+        _own(self, "camera_to_world", (4, 4))
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"camera width and height must be >= 1 pixel, got {self.width} x {self.height}")
+
+    def project(self, points):
+        """Pixel coordinates (..., 2) as (column, row), and depth [m] along the optical axis, of world ``points`` (..., 3)."""
+        rotation, centre = self.camera_to_world[:3, :3], self.camera_to_world[:3, 3]
+        local = (np.asarray(points, float) - centre) @ rotation
+        homogeneous = local @ self.intrinsics.T
+        return homogeneous[..., :2] / homogeneous[..., 2:], local[..., 2]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The half space ``normal . x >= offset`` that bodies stay in; ``normal`` (3,) is a unit vector, ``offset`` in metres."""
+
+    normal: np.ndarray
+    offset: float = 0.0
+
+    def __post_init__(self):
+        _own(self, "normal", (3,))
+        length = float(np.linalg.norm(self.normal))
+        if abs(length - 1) > 1e-6:
+            raise ValueError(f"ground normal must be a unit vector, got length {length:.6g}")
+
+    def height(self, points):
+        """Signed distance [m] of ``points`` (..., 3) above the plane."""
+        return np.asarray(points) @ self.normal - self.offset
+
+
+@dataclass(frozen=True)
+class Split:
+    """Frames [0, train_end) may be fitted; frames [train_end, frame_count) are only ever scored."""
+
+    train_end: int
+    frame_count: int
+
+    def __post_init__(self):
+        if not 2 <= self.train_end <= self.frame_count:
+            raise ValueError(
+                f"split: the train range must hold at least 2 frames and end within the recording, "
+                f"got train [0, {self.train_end}) of {self.frame_count} frames"
+            )
+
+    @property
+    def train(self) -> range:
+        return range(0, self.train_end)
+
+    @property
+    def test(self) -> range:
+        return range(self.train_end, self.frame_count)
+
+
+@runtime_checkable
+class Images(Protocol):
+    """Lazily read images. ``frame_count`` frames are within reach; asking beyond raises IndexError."""
+
+    frame_count: int
+
+    def color(self, camera: int, frame: int) -> np.ndarray: ...  # (H, W, 3) uint8 RGB
+
+    def depth(self, camera: int, frame: int) -> np.ndarray: ...  # (H, W) float32 metres, 0 where invalid
+
+    def mask(self, camera: int, frame: int) -> np.ndarray: ...  # (H, W) bool, the object
+
+    def human_mask(self, camera: int, frame: int) -> np.ndarray: ...  # (H, W) bool, hands and arms
+
+    def until(self, frame_count: int) -> Images: ...  # the same images, only the first ``frame_count`` frames within reach
+
+
+@dataclass(frozen=True, kw_only=True)
+class Observed:
+    """What a method may see of a recording: observations of the first F frames, controllers of all T.
+
+    It owns its arrays and holds no way back to the frames that were cut.
+
+    points            (F, N, 3) tracked surface points, metres; a row is meaningless where ``visible`` is False
+    visible           (F, N) bool
+    motion_valid      (F, N) bool; entry t speaks of the motion t -> t+1
+    controllers       (T, C, 3) hand points or driven markers, metres, known for the whole recording
+    surface, interior (S, 3), (I, 3) further structure points of frame 0 that were not tracked
+    colors            (F, N, 3) RGB in [0, 1], or None
+    fps               frames per second
+    gravity           (3,) m/s^2
+    ground            the table, or None where there is none
+    grips             (C,) the tracked point that controller c *is* (a driven marker), or -1 (a hand near the body)
+    self_collision    whether the object can touch itself (the published cloth configuration)
+    object            names the physical thing; recordings of one object share it
+    session           names the take a recording was cut from: clean splits keep a session on one side
+    """
+
+    name: str
+    points: np.ndarray
+    visible: np.ndarray
+    motion_valid: np.ndarray
+    controllers: np.ndarray
+    surface: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    interior: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    colors: np.ndarray | None = None
+    fps: float = 30.0
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 9.8]))
+    ground: Plane | None = None
+    grips: np.ndarray | None = None
+    self_collision: bool = False
+    object: str = ""
+    session: str = ""
+    cameras: tuple[Camera, ...] = ()
+    images: Images | None = None
+
+    def __post_init__(self):
+        where = f" (scenario {self.name})"
+        if np.ndim(self.points) != 3:
+            raise ValueError(f"points must have shape (frames, points, 3), got {np.shape(self.points)}{where}")
+        frames, count = np.shape(self.points)[:2]
+        _own(self, "points", (frames, count, 3), where=where, finite=False)
+        _own(self, "visible", (frames, count), bool, where=where)
+        _own(self, "motion_valid", (frames, count), bool, where=where)
+        length = np.shape(self.controllers)[0] if np.ndim(self.controllers) == 3 else frames
+        hands = np.shape(self.controllers)[1] if np.ndim(self.controllers) == 3 else 0
+        _own(self, "controllers", (length, hands, 3), where=where)
+        for name in ("surface", "interior"):
+            _own(self, name, (len(np.atleast_1d(getattr(self, name))), 3), where=where)
+        if self.colors is not None:
+            _own(self, "colors", (frames, count, 3), where=where, finite=False)
+        _own(self, "gravity", (3,), where=where)
+        grips = np.full(hands, -1) if self.grips is None else self.grips
+        object.__setattr__(self, "grips", grips)
+        _own(self, "grips", (hands,), np.int64, where=where)
+        if frames < 1 or length < frames:
+            raise ValueError(f"controllers must cover every frame: {length} of {frames} frames{where}")
+        if count < 1:
+            raise ValueError(f"points must hold at least one tracked point{where}")
+        if not np.isfinite(self.points[self.visible]).all():
+            raise ValueError(f"points must be finite wherever visible, got NaN or infinity{where}")
+        if not np.isfinite(self.points[0]).all():
+            raise ValueError(f"points must be finite in frame 0, where the body's structure is read{where}")
+        if not (np.isfinite(self.fps) and self.fps > 0):
+            raise ValueError(f"fps must be > 0, got {self.fps}{where}")
+        if hands and (self.grips.min() < -1 or self.grips.max() >= count):
+            raise ValueError(f"grips must be -1 or the index of one of the {count} points, got {self.grips.tolist()}{where}")
+
+    @property
+    def frame_count(self) -> int:
+        """T, the length of the recording (and of ``controllers``)."""
+        return len(self.controllers)
+
+    @property
+    def observed_frames(self) -> int:
+        """F, the frames whose observations are here."""
+        return len(self.points)
+
+    @property
+    def structure(self) -> np.ndarray:
+        """(M, 3) frame-0 particles in the order tracked | surface | interior, metres."""
+        return np.concatenate([self.points[0], self.surface, self.interior])
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Numbers of tracked, surface and interior particles."""
+        return self.points.shape[1], len(self.surface), len(self.interior)
+
+    @property
+    def spacing(self) -> float:
+        """Median distance [m] from a particle to its nearest neighbour: what connection radii scale with."""
+        from scipy.spatial import cKDTree
+
+        structure = np.unique(self.structure, axis=0)
+        if len(structure) < 2:
+            return 0.0
+        return float(np.median(cKDTree(structure).query(structure, k=2)[0][:, 1]))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario(Observed):
+    """One whole recording with its split. Frozen and validated when built; methods get ``observed()``, never this.
+
+    split   which frames may be fitted
+    tracks  (T, K, 3) ground-truth tracks, metres, NaN where not annotated, or None
+    """
+
+    split: Split
+    tracks: np.ndarray | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        where = f" (scenario {self.name})"
+        if self.observed_frames != self.frame_count or self.split.frame_count != self.frame_count:
+            raise ValueError(
+                f"points, controllers and split must speak of the same frames, got {self.observed_frames}, "
+                f"{self.frame_count} and {self.split.frame_count}{where}"
+            )
+        if self.tracks is not None:
+            shape = np.shape(self.tracks)
+            _own(self, "tracks", (self.frame_count, shape[1] if len(shape) == 3 else 0, 3), where=where, finite=False)
+
+    def observed(self, frames: int | None = None) -> Observed:
+        """What a method may see: the train frames' observations, or only the first ``frames`` of them.
+
+        Ground-truth tracks are for scoring and are never in it.
+        """
+        frames = self.split.train_end if frames is None else frames
+        if not 1 <= frames <= self.split.train_end:
+            raise ValueError(f"frames must lie in [1, {self.split.train_end}], got {frames} (scenario {self.name})")
+        seen = {f.name: getattr(self, f.name) for f in fields(Observed)}
+        for name in ("points", "visible", "motion_valid", "colors"):
+            if seen[name] is not None:
+                seen[name] = seen[name][:frames].copy()
+        if self.images is not None:
+            seen["images"] = self.images.until(frames)
+        return Observed(**seen)
+
+    def initial(self) -> Observed:
+        """Frame 0 and the controllers: what a twin fitted elsewhere gets to know of a transfer target."""
+        return self.observed(1)
+
+    def with_split(self, train_end: int) -> Scenario:
+        """The same recording with another train range."""
+        return replace(self, split=Split(train_end, self.frame_count))
+
+
+@dataclass(frozen=True)
+class TransferPair:
+    """A twin fitted on ``sources`` (names of recordings of one object) is scored on all frames of ``target``."""
+
+    sources: tuple[str, ...]
+    target: str
+
+    def __post_init__(self):
+        object.__setattr__(self, "sources", tuple(self.sources))
+        if not self.sources:
+            raise ValueError(f"a transfer pair needs at least one source (target {self.target})")
+        if self.target in self.sources:
+            raise ValueError(f"the target of a transfer pair must not be fitted, but {self.target} is among its sources")
+
+
+def _own(instance, name, shape, dtype=np.float64, *, where="", finite=True):
+    """Replace an array field by a read-only copy of the stated shape and type, or say what is wrong with it."""
+    value = np.asarray(getattr(instance, name))
+    if value.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {value.shape}{where}")
+    if value.dtype == object or value.dtype.kind not in "biuf":
+        raise ValueError(f"{name} must hold numbers, got dtype {value.dtype}{where}")
+    value = np.array(value, dtype, order="C")
+    if finite and value.dtype.kind == "f" and not np.isfinite(value).all():
+        raise ValueError(f"{name} must be finite, got NaN or infinity{where}")
+    value.flags.writeable = False
+    object.__setattr__(instance, name, value)

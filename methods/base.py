@@ -1,0 +1,102 @@
+"""The one interface that every method implements, and the trajectory that every twin returns."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..datasets.scenario import Observed, Scenario
+
+__all__ = ["Budget", "Diverged", "Method", "Trajectory", "Twin"]
+
+
+class Diverged(RuntimeError):
+    """A simulation blew up: ``frame`` is the first frame with a non-finite or absurdly far particle."""
+
+    def __init__(self, message: str, frame: int):
+        super().__init__(message)
+        self.frame = frame
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Positions (T, M, 3) float32 in metres, particles in the order tracked | surface | interior; ``counts`` says how many of each."""
+
+    positions: np.ndarray
+    counts: tuple[int, int, int]
+
+    def __post_init__(self):
+        shape = np.shape(self.positions)
+        if len(shape) != 3 or shape[1:] != (sum(self.counts), 3):
+            raise ValueError(f"positions must have shape (frames, {sum(self.counts)}, 3), got {shape}")
+
+    @property
+    def tracked(self) -> np.ndarray:
+        """(T, N, 3) the tracked points."""
+        return self.positions[:, : self.counts[0]]
+
+    @property
+    def surface(self) -> np.ndarray:
+        """(T, N+S, 3) everything on the surface: tracked and surface particles."""
+        return self.positions[:, : self.counts[0] + self.counts[1]]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much work a fit may do. Each method states in its own ``presets`` what a preset means for it."""
+
+    preset: str = "quick"
+
+    def __post_init__(self):
+        if self.preset not in ("quick", "full"):
+            raise ValueError(f"preset must be 'quick' or 'full', got {self.preset!r}")
+
+
+class Twin(ABC):
+    """A fitted, simulable object, placed in frame 0 of one recording."""
+
+    @abstractmethod
+    def rollout(self, controllers: np.ndarray) -> Trajectory:
+        """Simulate from frame 0 while the controllers follow ``controllers`` (T, C, 3) metres. Raises Diverged."""
+
+    @abstractmethod
+    def retarget(self, target: Observed) -> Twin:
+        """The same object placed in frame 0 of another recording. May look at ``target``'s frame 0 and controllers only."""
+
+    @abstractmethod
+    def save(self, folder: Path) -> None:
+        """Write the twin as npz and json files into ``folder`` (no pickle)."""
+
+    @classmethod
+    @abstractmethod
+    def load(cls, folder: Path) -> Twin:
+        """The twin that ``save`` wrote."""
+
+
+class Method(ABC):
+    """A way of making a twin from recordings. One file, one class, one name."""
+
+    name: str
+
+    @abstractmethod
+    def fit(
+        self,
+        observed: Sequence[Observed],
+        *,
+        budget: Budget,
+        seed: int = 0,
+        device: str = "cpu",
+        progress: Callable[[str, float], None] | None = None,
+    ) -> Twin:
+        """Fit one twin on one or several recordings of one object; it comes back placed in the first.
+
+        ``progress(stage, fraction)`` may be called as work goes on. Deterministic for a seed on one device.
+        """
+
+    def skip(self, scenario: Scenario) -> str | None:
+        """Why this method cannot run on ``scenario``, or None."""
+        return None

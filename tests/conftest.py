@@ -1,0 +1,30 @@
+"""Shared fixtures. Recordings that may not be redistributed lie beside the project, in ``../shared``; tests that need them skip without it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def pytest_addoption(parser):
+    parser.addoption("--slow", action="store_true", help="also run the tests marked slow")
+
+
+def pytest_collection_modifyitems(config, items):
+    for item in items:
+        if "slow" in item.keywords and not config.getoption("--slow"):
+            item.add_marker(pytest.mark.skip(reason="slow: run with --slow"))
+
+
+@pytest.fixture(scope="session")
+def recordings(tmp_path_factory):
+    """The real recordings, restored to the files that their authors publish."""
+    unpack = SHARED / "recordings" / "unpack.py"
+    if not unpack.exists():
+        pytest.skip(f"real recordings are not here ({unpack} is missing)")
+    out = tmp_path_factory.mktemp("recordings")
+    subprocess.run([sys.executable, str(unpack), str(out)], check=True)
+    return out
