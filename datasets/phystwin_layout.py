@@ -1,0 +1,73 @@
+"""Folders of cases in the published PhysTwin layout as a collection: which recordings are there, and which pairs they make."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+
+from .catalogue import CASES, CITATION, PAIRS, PUBLISHED
+from .collection import Collection
+from .phystwin import read_case, read_extra
+from .scenario import TransferPair
+
+__all__ = ["LAYOUT", "case_folders"]
+
+
+def case_folders(path: Path) -> dict[str, Path]:
+    """The cases at ``path`` by name: itself, or the folders in it, in ``different_types`` or in ``data/different_types``."""
+    path = Path(path)
+    if (path / "final_data.pkl").is_file():
+        return {path.resolve().name: path}
+    for root in (path, path / "different_types", path / "data" / "different_types"):
+        if root.is_dir():
+            found = {f.name: f for f in sorted(root.iterdir()) if not f.name.startswith(".") and (f / "final_data.pkl").is_file()}
+            if found:
+                return found
+    return {}
+
+
+class PhysTwinLayout:
+    """Cases in the published layout, one or a folder of them."""
+
+    name = "phystwin"
+
+    def matches(self, path: Path) -> bool:
+        """Whether there is a ``final_data.pkl`` in ``path`` or in the folders of cases that it holds."""
+        try:
+            return bool(case_folders(path))
+        except OSError:
+            return False
+
+    def open(self, path: Path, *, split: str = "published") -> Collection:
+        """All cases at ``path``. Pairs are the published ones, and for other cases those of one ``object`` in their scenario.json.
+
+        With ``split="clean"`` a pair whose two recordings were cut from one session is left out.
+        """
+        cases = case_folders(path)
+        if not cases:
+            raise ValueError(f"{path}: no case there (a folder with final_data.pkl)")
+        whole = set(cases) == set(CASES)
+        about = {name: read_extra(folder) for name, folder in cases.items()}
+        pairs = [p for p in _pairs(about) if split == "published" or not _share_session(p, about)]
+        return Collection(
+            name="phystwin" if whole else Path(path).resolve().name,
+            scenarios={name: partial(read_case, folder) for name, folder in cases.items()},
+            in_domain=tuple(cases),
+            pairs=tuple(pairs),
+            published=PUBLISHED if whole else {},
+            citation=CITATION if set(cases) & set(CASES) else "",
+        )
+
+
+def _pairs(about) -> Iterable[TransferPair]:
+    yield from (p for p in PAIRS if p.target in about and set(p.sources) <= set(about))
+    others = [name for name in about if name not in CASES]
+    yield from (TransferPair((a,), b) for a in others for b in others if a != b and about[a]["object"] == about[b]["object"])
+
+
+def _share_session(pair, about):
+    return any(about[source]["session"] == about[pair.target]["session"] != "" for source in pair.sources)
+
+
+LAYOUT = PhysTwinLayout()
