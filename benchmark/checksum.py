@@ -1,0 +1,102 @@
+"""What goes into the cache's keys: the content of recordings and the source code that worked on them.
+
+Hashing recordings needs reading them, which takes longer than a cached run may. So the hashes of a folder's recordings are remembered
+under the folder's listing (names, sizes, times of change): touching a file costs a second look, never a wrong answer.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable, Iterable
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ..datasets.collection import Collection
+from ..datasets.scenario import Images, Scenario
+from .cache import Cache, digest
+
+__all__ = ["Checksums", "checksum", "code", "listing", "method_code"]
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def checksum(scenario: Scenario) -> str:
+    """Hexadecimal SHA-256 of everything a scenario holds but its name and its images (which are read lazily)."""
+    state = hashlib.sha256()
+    _feed(state, {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name != "name"})
+    return state.hexdigest()
+
+
+def _feed(state, value) -> None:
+    if isinstance(value, np.ndarray):
+        state.update(f"{value.dtype.str}{value.shape}".encode())
+        state.update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value) and not isinstance(value, Images):
+        _feed(state, {f.name: getattr(value, f.name) for f in fields(value)})
+    elif isinstance(value, dict):
+        for key in sorted(value):
+            state.update(f"<{key}>".encode())
+            _feed(state, value[key])
+    elif isinstance(value, tuple):
+        _feed(state, {str(i): item for i, item in enumerate(value)})
+    elif not isinstance(value, Images):
+        state.update(f"{type(value).__name__} {value!r};".encode())
+
+
+def listing(folder: Path) -> str:
+    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``."""
+    folder = Path(folder).resolve()
+    files = sorted(folder.rglob("*")) if folder.is_dir() else [folder]
+    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in files if file.is_file()]
+    return digest(str(folder), seen)
+
+
+@cache
+def code(*rooms: str) -> str:
+    """Hexadecimal SHA-256 of every Python file in these rooms of the package."""
+    return _hash(sorted(file for room in rooms for file in (_PACKAGE / room).rglob("*.py")))
+
+
+def method_code(method: Callable) -> str:
+    """Hexadecimal SHA-256 of what a fit depends on: ``physics/``, ``methods/``, and the method's own file where it is a plug-in."""
+    shared = code("physics", "methods")
+    try:
+        file = Path(inspect.getsourcefile(method) or "").resolve()
+    except TypeError:
+        return shared
+    return shared if not file.is_file() or _PACKAGE / "methods" in file.parents else digest(shared, _hash([file]))
+
+
+def _hash(files) -> str:
+    state = hashlib.sha256()
+    for file in files:
+        state.update(f"{file.name}\n".encode())
+        state.update(file.read_bytes())
+    return state.hexdigest()
+
+
+class Checksums:
+    """Checksums of a collection's recordings, remembered in ``cache`` where ``folder`` says which files they were read from."""
+
+    def __init__(self, collection: Collection, cache: Cache, *, folder: Path | None = None, split: str = "published"):
+        self._collection, self._cache = collection, cache
+        self._known: dict[str, str] = {}
+        self._key = None
+        if folder is not None:
+            self._key = digest(listing(folder), split, code("datasets"))
+            self._known = self._cache.read("data", self._key) or {}
+
+    def learn(self, names: Iterable[str], load: Callable[[str], Scenario]) -> None:
+        """Read with ``load`` those recordings whose checksums are not known yet."""
+        unknown = [name for name in dict.fromkeys(names) if name not in self._known]
+        for name in unknown:
+            self._known[name] = checksum(load(name))
+        if unknown and self._key is not None:
+            self._cache.write("data", self._key, self._known)
+
+    def __getitem__(self, name: str) -> str:
+        return self._known[name]

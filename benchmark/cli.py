@@ -1,0 +1,256 @@
+"""The command line: ``twinbench run | table | check | download | list``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tyro.conf import Positional, arg
+
+__all__ = ["main"]
+
+Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Fit twins, roll them out, score them, and print the table.
+
+    Fitted twins and scored rows are kept in .cache/twinbench (or $TWINBENCH_CACHE): a killed run goes on where it stopped and a
+    repeated run is instant.
+    """
+
+    data: Annotated[tuple[str, ...], arg(metavar="PATH ...")] = ("sample",)
+    """Recordings: "sample" for the ones that ship with twinbench, or folders in a known layout (see twinbench list)."""
+    scenarios: Names = ()
+    """Score only these recordings. Default: all."""
+    methods: Names = ("static", "rigid", "phystwin")
+    """Methods to compare (see twinbench list)."""
+    tasks: Names = ("resimulation", "prediction", "transfer")
+    """Any of: resimulation, prediction, transfer."""
+    seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0,)
+    """Seeds; every method is fitted once with each."""
+    preset: str = "quick"
+    """How much work a fit may do: quick or full."""
+    device: str = "cpu"
+    """Where to compute: cpu or cuda."""
+    split: str = "published"
+    """Which split: published, or clean (no recording session on both sides)."""
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder for rows.parquet, rows.csv, table.md and table.tex. Default: results/NAME of the recordings."""
+
+    def __call__(self) -> int:
+        from .cache import Cache, default_cache
+        from .plan import TASKS, plan
+        from .results import Results, write_results
+        from .runner import Runner, Settings
+        from .table import terminal
+
+        for option, value, known in (("preset", self.preset, _PRESETS), ("device", self.device, _DEVICES), ("split", self.split, _SPLITS)):
+            _known(option, [value], known)
+        _known("task", self.tasks, TASKS)
+        methods, metrics = _methods(self.methods), _metrics()
+        opened = [_open(path, self.split) for path in self.data]
+        _check_scenarios(self.scenarios, [collection for collection, _ in opened])
+        settings, cache = Settings(methods, metrics, self.preset, self.device), Cache(default_cache())
+        work = []
+        for collection, folder in opened:
+            chosen = tuple(name for name in self.scenarios if name in collection.scenarios)
+            fits = plan(collection, methods=methods, tasks=self.tasks, seeds=self.seeds, scenarios=chosen)
+            if fits and (chosen or not self.scenarios):
+                work.append((Runner(collection, settings, cache, folder=folder, split=self.split), fits))
+        if not work:
+            raise ValueError(f"nothing to do: no task of {', '.join(self.tasks)} is scored on the chosen recordings")
+        rows = []
+        for runner, fits in work:
+            with _Bar(runner.collection.name) as bar:
+                rows += runner.run(fits, progress=bar)
+        results = Results.of(rows, metrics, [collection for collection, _ in opened])
+        folder = self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for runner, _ in work))
+        written = write_results(results, folder)
+        print(terminal(results))
+        print(f"\nWritten to {folder}: {', '.join(path.name for path in written)}")
+        return 1 if any(row["status"] == "failed" for row in rows) else 0
+
+
+@dataclass(frozen=True)
+class Table:
+    """Print again the table of a folder that twinbench run wrote."""
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """Folder with rows.parquet."""
+    format: str = "terminal"
+    """terminal, markdown or latex."""
+
+    def __call__(self) -> int:
+        from . import table
+        from .results import read_results
+
+        _known("format", [self.format], ("terminal", "markdown", "latex"))
+        print(getattr(table, self.format)(read_results(self.folder)))
+        return 0
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say what is missing or wrong in a recording of the published layout, file by file."""
+
+    case: Annotated[Positional[Path], arg(metavar="CASE")]
+    """Folder of one recording."""
+
+    def __call__(self) -> int:
+        from ..datasets.check import check
+
+        if not self.case.exists():
+            raise ValueError(f"no recording at {self.case}: no such folder")
+        findings = check(self.case)
+        for finding in findings:
+            print(finding)
+        if not findings:
+            print(f"{self.case}: complete")
+        return 1 if any(finding.severity == "error" for finding in findings) else 0
+
+
+@dataclass(frozen=True)
+class Download:
+    """Download the published archives. Goes on where it stopped, and says first how much there is to fetch."""
+
+    archives: Annotated[Positional[tuple[str, ...]], arg(metavar="[ARCHIVE ...]")] = ("data",)
+    """Which archives."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("data")
+    """Where to put them."""
+
+    def __call__(self) -> int:
+        from ..datasets.download import download
+
+        download(self.archives, self.out)
+        return 0
+
+
+@dataclass(frozen=True)
+class List:
+    """List methods, metrics, tasks, layouts, and the recordings at hand."""
+
+    data: Annotated[tuple[str, ...], arg(metavar="PATH ...")] = ("sample",)
+    """Recordings to list."""
+    split: str = "published"
+    """published or clean."""
+
+    def __call__(self) -> int:
+        from ..datasets.collection import layouts
+        from ..methods.registry import methods
+        from .plan import TASKS
+
+        _known("split", [self.split], _SPLITS)
+        metrics = _metrics().values()
+        _section("methods", {name: _first_line(method) for name, method in methods().items()})
+        _section("metrics", {m.name: f"{_first_line(type(m))} {m.direction.capitalize()} is better." for m in metrics})
+        _section("tasks", TASKS)
+        _section("layouts", {name: _first_line(type(layout)) for name, layout in layouts().items()})
+        for path in self.data:
+            collection, _ = _open(path, self.split)
+            _section(f"recordings of {collection.name} ({path})", {name: _roles(collection, name) for name in collection.scenarios})
+        return 0
+
+
+_PRESETS, _DEVICES, _SPLITS = ("quick", "full"), ("cpu", "cuda"), ("published", "clean")
+
+
+def _roles(collection, name: str) -> str:
+    pairs = [pair.sources for pair in collection.pairs if pair.target == name]
+    sources = [f"transfer from {'+'.join(found) if len(found) < 4 else f'{len(found)} recordings'}" for found in pairs]
+    source_of = sum(name in pair.sources for pair in collection.pairs)
+    in_domain = ["resimulation, prediction"] if name in collection.in_domain else []
+    return "; ".join([*in_domain, *sources]) or (f"source of {source_of} transfer targets" if source_of else "not scored")
+
+
+def _section(title: str, entries) -> None:
+    print(f"{title}:")
+    width = max((len(name) for name in entries), default=0)
+    for name, text in entries.items():
+        print(f"  {name.ljust(width)}  {text}".rstrip())
+    print()
+
+
+def _first_line(thing) -> str:
+    return (thing.__doc__ or "").strip().split("\n")[0]
+
+
+def _known(kind: str, names: Iterable[str], known: Iterable[str]) -> None:
+    from ..datasets.collection import nearest
+
+    for name in names:
+        if name not in known:
+            raise ValueError(f"unknown {kind} {name!r}; {nearest(name, known)}")
+
+
+def _methods(names: Iterable[str]) -> dict:
+    from ..methods.registry import methods
+
+    found = methods()
+    _known("method", names, found)
+    return {name: found[name] for name in dict.fromkeys(names)}
+
+
+def _metrics() -> dict:
+    from ..metrics.base import metrics
+
+    return metrics()
+
+
+def _open(path: str, split: str):
+    """The collection at ``path``, and the folder whose listing stands for its content."""
+    from ..datasets import collection
+
+    folder = Path(collection.__file__).parent / "sample" if path == "sample" else Path(path)
+    return collection.open_collection(path, split=split), folder
+
+
+def _check_scenarios(names: Iterable[str], collections) -> None:
+    _known("scenario", names, list(dict.fromkeys(name for collection in collections for name in collection.scenarios)))
+
+
+class _Bar:
+    """A progress bar on standard error; nothing where that is no terminal."""
+
+    def __init__(self, title: str):
+        self._title, self._bar, self._done = title, None, 0.0
+
+    def __enter__(self):
+        from tqdm import tqdm
+
+        shape = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+        self._bar = tqdm(total=1.0, disable=None, leave=False, bar_format=shape, desc=self._title, dynamic_ncols=True)
+        return self
+
+    def __call__(self, label: str, fraction: float) -> None:
+        self._bar.set_description(f"{self._title}: {label}", refresh=False)
+        self._bar.update(max(fraction - self._done, 0.0))
+        self._bar.refresh()
+        self._done = max(fraction, self._done)
+
+    def __exit__(self, *_):
+        self._bar.close()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    commands = {"run": Run, "table": Table, "check": Check, "download": Download, "list": List}
+    try:
+        if arguments and not arguments[0].startswith("-"):
+            _known("command", arguments[:1], commands)
+        command = tyro.extras.subcommand_cli_from_dict(
+            commands, prog="twinbench", description="Benchmark of physical digital twins of deformable objects.", args=arguments
+        )
+        return command()
+    except (ValueError, OSError) as error:
+        print(f"twinbench: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("twinbench: stopped; the same command goes on from here", file=sys.stderr)
+        return 130

@@ -1,0 +1,72 @@
+"""What there is to do: which twins to fit, and where each is scored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ..datasets.collection import Collection, nearest
+from ..datasets.scenario import Split
+
+__all__ = ["TASKS", "Evaluation", "Fit", "frames", "plan"]
+
+TASKS = {
+    "resimulation": "the train frames of the recording that the twin was fitted on, after frame 0",
+    "prediction": "the test frames of the same recording, in the same roll-out from frame 0",
+    "transfer": "all frames after frame 0 of another recording of the same object",
+}
+
+
+def frames(task: str, split: Split) -> range:
+    """The frames that ``task`` scores."""
+    return {"resimulation": split.train[1:], "prediction": split.test, "transfer": range(1, split.frame_count)}[task]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One row to be: ``task`` scored on the recording ``target``."""
+
+    task: str
+    target: str
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One twin, fitted by ``method`` with ``seed`` on the recordings ``sources`` and shared by all its evaluations."""
+
+    method: str
+    sources: tuple[str, ...]
+    seed: int
+    evaluations: tuple[Evaluation, ...]
+
+
+def plan(
+    collection: Collection,
+    *,
+    methods: Iterable[str],
+    tasks: Iterable[str] = tuple(TASKS),
+    seeds: Iterable[int] = (0,),
+    scenarios: Iterable[str] = (),
+) -> list[Fit]:
+    """Every fit of ``collection``, recording by recording. ``scenarios`` keeps only rows scored on these; none means all.
+
+    Raises ValueError with the nearest known name for an unknown task or scenario.
+    """
+    tasks, scenarios = tuple(dict.fromkeys(tasks)), tuple(scenarios)
+    for task in tasks:
+        if task not in TASKS:
+            raise ValueError(f"unknown task {task!r}; {nearest(task, TASKS)}")
+    for name in scenarios:
+        if name not in collection.scenarios:
+            raise ValueError(f"unknown scenario {name!r} in {collection.name}; {nearest(name, collection.scenarios)}")
+    scored: dict[tuple[str, ...], list[Evaluation]] = {}
+    for name in collection.in_domain:
+        scored.setdefault((name,), []).extend(Evaluation(task, name) for task in tasks if task != "transfer")
+    for pair in collection.pairs if "transfer" in tasks else ():
+        scored.setdefault(pair.sources, []).append(Evaluation("transfer", pair.target))
+    if scenarios:
+        scored = {sources: [e for e in found if e.target in scenarios] for sources, found in scored.items()}
+    methods, seeds = tuple(dict.fromkeys(methods)), tuple(dict.fromkeys(seeds))
+    return [
+        Fit(method, sources, seed, tuple(found)) for sources, found in scored.items() if found for method in methods for seed in seeds
+    ]

@@ -1,0 +1,104 @@
+"""Where a row came from: commit, versions, device, peak memory."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+__all__ = ["device_name", "peak_memory", "provenance", "reset_peak_memory"]
+
+
+@cache
+def commit() -> str:
+    """The git commit of the source tree, with "+" if it has changes that are not in it; "unknown" outside a clone."""
+    root = Path(__file__).resolve().parents[1]
+    if not (root / ".git").exists():
+        return "unknown"
+    try:
+        run = {"cwd": root, "capture_output": True, "text": True, "check": True, "timeout": 10}
+        head = subprocess.run(["git", "rev-parse", "HEAD"], **run).stdout.strip()
+        changed = subprocess.run(["git", "status", "--porcelain", "--untracked-files=no"], **run).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return head + ("+" if changed else "")
+
+
+def installed(package: str) -> str:
+    """Version of an installed package, without importing it; "" where it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
+
+
+@cache
+def device_name(device: str) -> str:
+    """Name of the processor or graphics card behind ``device`` ("cpu" or "cuda"). Raises ValueError where there is none."""
+    if device == "cpu":
+        return f"cpu: {_processor()}"
+    import torch
+
+    if not torch.cuda.is_available():
+        raise ValueError(f"device {device!r} is not there: torch {torch.__version__} finds no CUDA device; use --device cpu")
+    return f"cuda: {torch.cuda.get_device_name()}"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
+
+
+def provenance(device: str) -> dict[str, str]:
+    """The columns that say how and when a row was computed."""
+    packages = {"numpy": "numpy", "torch": "torch", "warp": "warp-lang", "twinbench": "twinbench"}
+    return {
+        "device": device_name(device),
+        "commit": commit(),
+        "python": platform.python_version(),
+        **{column: installed(package) for column, package in packages.items()},
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def reset_peak_memory() -> None:
+    """Start a new count of peak memory where the system allows it (Linux); elsewhere the process's peak goes on."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")
+    if (torch := _torch()) is not None:
+        torch.cuda.reset_peak_memory_stats()
+
+
+def peak_memory() -> dict[str, float]:
+    """Peak memory [MiB] of this process since the last reset, and of the graphics card: torch since the reset, Warp since the start."""
+    card = 0.0
+    if (torch := _torch()) is not None:
+        card += torch.cuda.max_memory_allocated()
+    if (warp := sys.modules.get("warp")) is not None:
+        with suppress(RuntimeError, AttributeError):  # Warp without CUDA, or imported and not yet started
+            card += sum(warp.get_mempool_used_mem_high(device) for device in warp.get_cuda_devices())
+    return {"peak_memory_mib": _resident(), "peak_device_memory_mib": card / 2**20}
+
+
+def _resident() -> float:
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+        return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+    except (OSError, StopIteration):
+        import resource
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 1024)
+
+
+def _torch():
+    """torch, where somebody has imported it and used its CUDA side."""
+    torch = sys.modules.get("torch")
+    return torch if torch is not None and torch.cuda.is_available() and torch.cuda.is_initialized() else None

@@ -1,0 +1,105 @@
+"""Rows on disk: Parquet and CSV with all provenance, the tables in Markdown and LaTeX, and what the numbers mean (``about.json``)."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..datasets.collection import Collection
+from ..metrics.base import Metric
+from .cache import replacing
+
+__all__ = ["Results", "read_results", "write_results"]
+
+
+@dataclass(frozen=True)
+class Results:
+    """Rows, the units and directions of their metrics, and published figures to print beside them.
+
+    published   {collection: {(task, method, metric): value in the metric's unit}}
+    """
+
+    rows: Sequence[dict]
+    units: Mapping[str, str]
+    directions: Mapping[str, str]
+    published: Mapping[str, Mapping[tuple[str, str, str], float]] = field(default_factory=dict)
+    citations: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, rows: Sequence[dict], metrics: Mapping[str, Metric], collections: Sequence[Collection]) -> Results:
+        """The results of a run."""
+        return cls(
+            rows,
+            {name: metric.unit for name, metric in metrics.items()},
+            {name: metric.direction for name, metric in metrics.items()},
+            {collection.name: dict(collection.published) for collection in collections},
+            {collection.name: collection.citation for collection in collections},
+        )
+
+
+def write_results(results: Results, folder: Path) -> list[Path]:
+    """Write ``rows.parquet``, ``rows.csv``, ``about.json``, ``table.md`` and ``table.tex``; each replaces its forerunner in one rename."""
+    from .table import latex, markdown
+
+    texts = {"about.json": json.dumps(_about(results), indent=1), "table.md": markdown(results), "table.tex": latex(results)}
+    written = []
+    for name, write in {"rows.parquet": _parquet, "rows.csv": _csv}.items():
+        with replacing(Path(folder) / name) as temporary:
+            write(results.rows, temporary)
+        written.append(Path(folder) / name)
+    for name, text in texts.items():
+        with replacing(Path(folder) / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        written.append(Path(folder) / name)
+    return written
+
+
+def read_results(folder: Path) -> Results:
+    """What ``write_results`` wrote. Raises ValueError where it is not there or damaged."""
+    folder = Path(folder)
+    for name in ("rows.parquet", "about.json"):
+        if not (folder / name).is_file():
+            raise ValueError(f"no results in {folder}: {name} is missing (twinbench run writes it)")
+    try:
+        import pyarrow.parquet
+
+        rows = pyarrow.parquet.read_table(folder / "rows.parquet").to_pylist()
+        about = json.loads((folder / "about.json").read_text(encoding="utf-8"))
+        published = {name: {tuple(key): value for *key, value in found} for name, found in about["published"].items()}
+        return Results(rows, about["units"], about["directions"], published, about["citations"])
+    except (OSError, ValueError, KeyError, AttributeError) as error:  # pyarrow's errors are ValueErrors or OSErrors
+        raise ValueError(f"the results in {folder} cannot be read: {error}") from error
+
+
+def _about(results: Results) -> dict:
+    published = {name: [[*key, value] for key, value in found.items()] for name, found in results.published.items()}
+    return {
+        "units": dict(results.units),
+        "directions": dict(results.directions),
+        "published": published,
+        "citations": dict(results.citations),
+    }
+
+
+def _columns(rows: Sequence[dict]) -> list[str]:
+    return list(dict.fromkeys(name for row in rows for name in row))
+
+
+def _parquet(rows: Sequence[dict], path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet
+
+    columns = {name: [row.get(name) for row in rows] for name in _columns(rows)}
+    types = {name: pyarrow.int64() for name in columns if all(value is None for value in columns[name])}
+    table = pyarrow.table({name: pyarrow.array(values, types.get(name)) for name, values in columns.items()})
+    pyarrow.parquet.write_table(table, path)
+
+
+def _csv(rows: Sequence[dict], path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, _columns(rows), restval="")
+        writer.writeheader()
+        writer.writerows(rows)

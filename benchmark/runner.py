@@ -1,0 +1,247 @@
+"""Runs a plan: fit once, roll out, score, remember. What goes wrong with a method becomes a row, never the end of the run."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from ..datasets.collection import Collection
+from ..datasets.scenario import Scenario
+from ..methods.base import Budget, Diverged, Method, Trajectory, Twin
+from ..metrics.base import Metric, score
+from .cache import Cache, digest
+from .checksum import Checksums, code, method_code
+from .plan import Evaluation, Fit, frames
+from .provenance import device_name, peak_memory, provenance, reset_peak_memory
+
+__all__ = ["Runner", "Settings"]
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What all rows of a run have in common, and the methods and metrics to use, by name."""
+
+    methods: Mapping[str, Callable[[], Method]]
+    metrics: Mapping[str, Metric]
+    preset: str = "quick"
+    device: str = "cpu"
+
+
+class _Stopped(Exception):
+    """Ends the work on some rows early; ``row`` says how."""
+
+    def __init__(self, **row):
+        super().__init__(row["status"])
+        self.row = row
+
+
+@contextmanager
+def _as_status() -> Iterator[None]:
+    """Turn what a method raises into the status of its rows."""
+    try:
+        yield
+    except _Stopped:
+        raise
+    except Diverged as error:
+        raise _Stopped(status="diverged", reason=str(error), diverged_frame=int(error.frame)) from error
+    except Exception as error:  # a method may fail in any way, and the other methods' rows must still come
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise _Stopped(status="failed", reason=f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})") from error
+
+
+class Runner:
+    """Computes the rows of one collection.
+
+    A twin is stored under its method and that method's code, the content of its sources, seed, preset and device; a row under its twin,
+    the content of its target, the task and the metrics' code. Rows and twins that are there are not computed again. Failed rows
+    are not stored: what made them fail (memory, a missing package) may be gone the next time.
+    """
+
+    def __init__(self, collection: Collection, settings: Settings, cache: Cache, *, folder: Path | None = None, split: str = "published"):
+        self.collection, self.settings, self.cache = collection, settings, cache
+        self._checksums = Checksums(collection, cache, folder=folder, split=split)
+        self._loaded: WeakValueDictionary[str, Scenario] = WeakValueDictionary()
+        self._held: list[Scenario] = []
+
+    def run(self, fits: list[Fit], *, progress: Progress = lambda label, fraction: None) -> list[dict]:
+        """The rows of ``fits``. ``progress(label, fraction)`` is told what is going on and how much of everything is done.
+
+        Raises OSError where the cache cannot be written, ValueError where a recording cannot be read or the device is not there.
+        """
+        names = [name for fit in fits for name in (*fit.sources, *(evaluation.target for evaluation in fit.evaluations))]
+        self._checksums.learn(names, self._load)  # so that a recording that cannot be read is known before hours of work
+        rows = []
+        for i, fit in enumerate(fits):
+            label = f"{fit.method} on {_short(fit.sources)}"
+            progress(label, i / len(fits))
+
+            def report(stage: str, fraction: float, *, i=i, label=label) -> None:
+                progress(f"{label}: {stage}", (i + min(max(fraction, 0.0), 1.0)) / len(fits))
+
+            rows += self._rows(fit, report)
+        progress("done", 1.0)
+        return rows
+
+    def _rows(self, fit: Fit, report: Progress) -> list[dict]:
+        fit_key = self._fit_key(fit)
+        keys = {evaluation: self._row_key(fit_key, evaluation) for evaluation in fit.evaluations}
+        found = {evaluation: self.cache.read("rows", key) for evaluation, key in keys.items()}
+        missing = [evaluation for evaluation, row in found.items() if row is None]
+        for evaluation, row in self._compute(fit, fit_key, missing, report) if missing else ():
+            found[evaluation] = row
+            if row["status"] != "failed":
+                self.cache.write("rows", keys[evaluation], row)
+        return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
+
+    def _compute(self, fit: Fit, fit_key: str, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
+        device_name(self.settings.device)  # raises where it is not there
+        try:
+            self._held = [self._load(name) for name in fit.sources]  # for the next method on the same sources
+            method = self._method(fit.method)
+            self._refuse(method, self._held)
+            twin, about = self._twin(method, fit, fit_key, report)
+        except _Stopped as stopped:
+            yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)
+            return
+        for target in dict.fromkeys(evaluation.target for evaluation in evaluations):
+            wanted = [evaluation for evaluation in evaluations if evaluation.target == target]
+            yield from self._evaluate(method, twin, about, wanted, self._load(target))
+
+    def _method(self, name: str) -> Method:
+        with _as_status():
+            return self.settings.methods[name]()
+
+    def _refuse(self, method: Method, scenarios: list[Scenario]) -> None:
+        for scenario in scenarios:
+            with _as_status():
+                if reason := method.skip(scenario):
+                    raise _Stopped(status="skipped", reason=reason)
+
+    def _twin(self, method: Method, fit: Fit, key: str, report: Progress) -> tuple[Twin, dict]:
+        """The fitted twin as the cache holds it, so that a resumed run and an uninterrupted one score the same."""
+        stored = self.cache.read_folder("fits", key)
+        if stored is None:
+            self._fit(method, fit, key, report)
+            stored = self.cache.read_folder("fits", key)
+        if stored is None:
+            raise OSError(f"the twin just written to {self.cache.root} cannot be read back")
+        folder, about = stored
+        with _as_status():
+            twin_class = import_module(about["module"])
+            for name in about["class"].split("."):
+                twin_class = getattr(twin_class, name)
+            return twin_class.load(folder), about
+
+    def _fit(self, method: Method, fit: Fit, key: str, report: Progress) -> None:
+        observed = [scenario.observed() for scenario in self._held]
+        settings = self.settings
+        reset_peak_memory()
+        start = time.perf_counter()
+        with _as_status():
+            twin = method.fit(observed, budget=Budget(settings.preset), seed=fit.seed, device=settings.device, progress=report)
+        about = {"fit_seconds": time.perf_counter() - start, **peak_memory()}
+        about |= {"module": type(twin).__module__, "class": type(twin).__qualname__}
+        try:
+            self.cache.write_folder("fits", key, twin.save, about)
+        except OSError:
+            raise
+        except Exception:
+            with _as_status():
+                raise
+
+    def _evaluate(
+        self, method: Method, twin: Twin, about: dict, evaluations: list[Evaluation], target: Scenario
+    ) -> Iterator[tuple[Evaluation, dict]]:
+        """One roll-out from frame 0 for each way of placing the twin, scored for each task."""
+        for transfer in (False, True):
+            wanted = [evaluation for evaluation in evaluations if (evaluation.task == "transfer") == transfer]
+            if not wanted:
+                continue
+            about = {name: about[name] for name in ("fit_seconds", "peak_memory_mib", "peak_device_memory_mib")}
+            try:
+                if transfer:
+                    self._refuse(method, [target])
+                trajectory, about = self._roll_out(twin, about, target, transfer)
+            except _Stopped as stopped:
+                yield from ((evaluation, self._row(stopped.row, about)) for evaluation in wanted)
+                continue
+            for evaluation in wanted:
+                yield evaluation, self._row(self._score(trajectory, target, evaluation.task), about)
+
+    def _roll_out(self, twin: Twin, about: dict, target: Scenario, transfer: bool) -> tuple[Trajectory, dict]:
+        reset_peak_memory()
+        start = time.perf_counter()
+        with _as_status():
+            placed = twin.retarget(target.initial()) if transfer else twin
+            trajectory = placed.rollout(target.controllers)
+            if len(trajectory.positions) != target.frame_count:
+                raise ValueError(f"the roll-out has {len(trajectory.positions)} frames, the controllers have {target.frame_count}")
+        peaks = {name: max(value, about[name]) for name, value in peak_memory().items()}
+        return trajectory, {**about, **peaks, "rollout_seconds": time.perf_counter() - start}
+
+    def _score(self, trajectory: Trajectory, target: Scenario, task: str) -> dict:
+        wanted = frames(task, target.split)
+        if not wanted:
+            return {"status": "skipped", "reason": f"the recording has no frames for {task}"}
+        lost = np.flatnonzero(~np.isfinite(trajectory.positions[: wanted[-1] + 1]).all(axis=(1, 2)))
+        if len(lost):
+            return {"status": "diverged", "reason": "positions are not finite", "diverged_frame": int(lost[0])}
+        row: dict = {"status": "ok", "frames": len(wanted)}
+        try:
+            with _as_status():
+                for name, metric in self.settings.metrics.items():
+                    result = score(metric, trajectory, target, wanted)
+                    row |= {name: result.mean, f"{name}_unscorable": result.unscorable}
+        except _Stopped as stopped:
+            return stopped.row
+        return row
+
+    def _row(self, result: dict, about: dict) -> dict:
+        """Everything of a row that the cache keeps, in the order of the columns."""
+        nothing = {"status": "", "reason": "", "diverged_frame": None}
+        for name in self.settings.metrics:
+            nothing |= {name: float("nan"), f"{name}_unscorable": 0}
+        costs = dict.fromkeys(("fit_seconds", "rollout_seconds", "peak_memory_mib", "peak_device_memory_mib"), float("nan"))
+        return {**nothing, "frames": 0, **costs, **result, **about, **provenance(self.settings.device)}
+
+    def _identity(self, fit: Fit, evaluation: Evaluation) -> dict:
+        return {
+            "collection": self.collection.name,
+            "scenario": evaluation.target,
+            "sources": "+".join(fit.sources),
+            "method": fit.method,
+            "task": evaluation.task,
+            "seed": fit.seed,
+            "preset": self.settings.preset,
+            "data_checksum": self._checksums[evaluation.target],
+            "code_checksum": method_code(self.settings.methods[fit.method]),
+        }
+
+    def _fit_key(self, fit: Fit) -> str:
+        sources = [self._checksums[name] for name in fit.sources]
+        method = method_code(self.settings.methods[fit.method])
+        return digest(fit.method, method, sources, fit.seed, self.settings.preset, self.settings.device)
+
+    def _row_key(self, fit_key: str, evaluation: Evaluation) -> str:
+        metrics = [(name, metric.version) for name, metric in self.settings.metrics.items()]
+        return digest(fit_key, evaluation.task, self._checksums[evaluation.target], metrics, code("metrics"))
+
+    def _load(self, name: str) -> Scenario:
+        scenario = self._loaded.get(name)
+        if scenario is None:
+            scenario = self._loaded[name] = self.collection.load(name)
+        return scenario
+
+
+def _short(names: tuple[str, ...]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"

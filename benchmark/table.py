@@ -1,0 +1,176 @@
+"""Tables of results: means over recordings and seeds, method by method, beside published figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .plan import TASKS
+from .results import Results
+
+__all__ = ["Block", "Line", "blocks", "latex", "markdown", "notes", "terminal"]
+
+
+@dataclass(frozen=True)
+class Line:
+    """One method's means, and over how many rows each was taken; ``rows`` planned, ``scored`` of them with status ok."""
+
+    method: str
+    means: dict[str, float]
+    counts: dict[str, int]
+    rows: int = 0
+    scored: int = 0
+    fit_seconds: float = math.nan
+    published: bool = False
+
+
+@dataclass(frozen=True)
+class Block:
+    """One task of one collection: a table."""
+
+    collection: str
+    task: str
+    metrics: tuple[str, ...]
+    lines: tuple[Line, ...]
+
+    def best(self, metric: str, direction: str) -> set[str]:
+        """Methods with the best mean among those that were scored as often as any; none where there is nothing to compare."""
+        ours = [line for line in self.lines if not line.published]
+        most = max((line.counts[metric] for line in ours), default=0)
+        full = {line.method: line.means[metric] for line in ours if line.counts[metric] == most > 0}
+        if len(full) < 2:
+            return set()
+        value = min(full.values()) if direction == "lower" else max(full.values())
+        return {method for method, mean in full.items() if mean == value}
+
+
+def blocks(results: Results) -> list[Block]:
+    """The tables, collection by collection and task by task. Metrics that score nothing in a task are left out."""
+    found = []
+    for collection in dict.fromkeys(row["collection"] for row in results.rows):
+        for task in TASKS:
+            rows = [row for row in results.rows if (row["collection"], row["task"]) == (collection, task)]
+            if not rows:
+                continue
+            by_method: dict[str, list[dict]] = {}
+            for row in rows:
+                by_method.setdefault(row["method"], []).append(row)
+            lines = [_line(method, rows, tuple(results.units)) for method, rows in by_method.items()]
+            lines += _published(results, collection, task)
+            shown = tuple(metric for metric in results.units if any(line.counts.get(metric) for line in lines))
+            found.append(Block(collection, task, shown, tuple(lines)))
+    return found
+
+
+def _line(method: str, rows: Sequence[dict], metrics: Sequence[str]) -> Line:
+    ok = [row for row in rows if row["status"] == "ok"]
+    values = {metric: [row[metric] for row in ok if math.isfinite(row[metric])] for metric in metrics}
+    means = {metric: sum(found) / len(found) if found else math.nan for metric, found in values.items()}
+    counts = {metric: len(found) for metric, found in values.items()}
+    fits = {(row["sources"], row["seed"]): row["fit_seconds"] for row in rows if math.isfinite(row["fit_seconds"])}
+    seconds = sum(fits.values()) / len(fits) if fits else math.nan
+    return Line(method, means, counts, len(rows), len(ok), seconds)
+
+
+def _published(results: Results, collection: str, task: str) -> list[Line]:
+    figures = {key: value for key, value in results.published.get(collection, {}).items() if key[0] == task and key[2] in results.units}
+    lines = []
+    for method in dict.fromkeys(method for _, method, _ in figures):
+        means = {metric: figures.get((task, method, metric), math.nan) for metric in results.units}
+        counts = {metric: int(math.isfinite(mean)) for metric, mean in means.items()}
+        lines.append(Line(f"{method} (published)", means, counts, published=True))
+    return lines
+
+
+def notes(results: Results) -> list[str]:
+    """One sentence for every group of rows that have no score, and for every mean that leaves frames out."""
+    groups: dict[tuple, list[dict]] = {}
+    for row in results.rows:
+        if row["status"] != "ok":
+            frame = f" at frame {row['diverged_frame']}" if row["status"] == "diverged" else ""
+            key = (row["collection"], row["task"], row["method"], row["status"])
+            groups.setdefault(key, []).append({**row, "where": f"{row['scenario']}{frame}"})
+    said = []
+    for (collection, task, method, status), rows in groups.items():
+        reasons = list(dict.fromkeys(row["reason"] for row in rows))
+        where = ", ".join(row["where"] for row in rows[:3]) + (f" and {len(rows) - 3} more" if len(rows) > 3 else "")
+        said.append(f"{collection}, {task}: {method} {status} in {len(rows)} (not in the means): {where}: {'; '.join(reasons[:3])}")
+    return said
+
+
+def _header(block: Block, units: dict[str, str]) -> list[str]:
+    return ["method", *(f"{metric} [mm]" if units[metric] == "m" else metric for metric in block.metrics), "n", "fit [s]"]
+
+
+def _cells(block: Block, line: Line, results: Results) -> list[tuple[str, bool]]:
+    """Text of each cell of a line, and whether it is the best of its column. Lengths in millimetres, as published where published."""
+    cells = [(line.method, False)]
+    for metric in block.metrics:
+        mean, count = line.means[metric], line.counts[metric]
+        if not count:
+            cells.append(("-", False))
+            continue
+        text = f"{mean * 1e3:.2f}" if results.units[metric] == "m" else f"{mean:.3f}"
+        if line.published:
+            text = text.rstrip("0").rstrip(".")  # never more digits than were published
+        elif count < line.scored:
+            text += f" (n={count})"
+        cells.append((text, line.method in block.best(metric, results.directions[metric])))
+    n = "" if line.published else str(line.rows) if line.scored == line.rows else f"{line.scored} of {line.rows}"
+    return [*cells, (n, False), ("" if math.isnan(line.fit_seconds) else f"{line.fit_seconds:.1f}", False)]
+
+
+def _caption(block: Block) -> str:
+    return f"{block.collection}, {block.task}: {TASKS[block.task]}"
+
+
+def terminal(results: Results) -> str:
+    """The tables as aligned text; the best of a column carries an asterisk."""
+    parts = []
+    for block in blocks(results):
+        table = [[name + " " for name in _header(block, dict(results.units))]]
+        table += [[text + ("*" if best else " ") for text, best in _cells(block, line, results)] for line in block.lines]
+        widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
+        text = ["  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))) for row in table]
+        rule = "-" * max(len(line.rstrip()) for line in text)
+        parts.append("\n".join([_caption(block), rule, text[0].rstrip(), rule, *(line.rstrip() for line in text[1:]), rule]))
+    return "\n\n".join([*parts, "\n".join([_legend(results), *notes(results)])])
+
+
+def _legend(results: Results) -> str:
+    higher = [metric for metric, direction in results.directions.items() if direction == "higher"]
+    better = "Lower is better" + (f", except {', '.join(higher)}" if higher else "")
+    return f"Means over n rows (recordings x seeds). {better}; the best method is marked if none was scored more often."
+
+
+def markdown(results: Results) -> str:
+    """The tables in Markdown; the best of a column is bold."""
+    parts = []
+    for block in blocks(results):
+        header = _header(block, dict(results.units))
+        rows = [[f"**{text}**" if best else text for text, best in _cells(block, line, results)] for line in block.lines]
+        rule = ["---", *["---:"] * (len(header) - 1)]
+        parts.append("\n".join([f"**{_caption(block)}**", "", *("| " + " | ".join(row) + " |" for row in [header, rule, *rows])]))
+    return "\n\n".join([*parts, _legend(results), *(f"- {note}" for note in notes(results))]) + "\n"
+
+
+def latex(results: Results) -> str:
+    """The tables in LaTeX (package booktabs); the best of a column is bold."""
+    parts = []
+    for block in blocks(results):
+        header = [_escape(name) for name in _header(block, dict(results.units))]
+        rows = [
+            [f"\\textbf{{{_escape(text)}}}" if best else _escape(text) for text, best in _cells(block, line, results)]
+            for line in block.lines
+        ]
+        lines = [" & ".join(row) + r" \\" for row in rows]
+        body = [r"\toprule", " & ".join(header) + r" \\", r"\midrule", *lines, r"\bottomrule"]
+        begin = [r"\begin{table}", r"\centering", rf"\caption{{{_escape(_caption(block))}.}}"]
+        parts.append("\n".join([*begin, rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", *body, r"\end{tabular}", r"\end{table}"]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _escape(text: str) -> str:
+    replaced = {"\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    return "".join(replaced.get(character, "\\" + character if character in "_%&#$" else character) for character in text)

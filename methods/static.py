@@ -1,0 +1,54 @@
+"""The body never moves: what every method must beat."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..datasets.scenario import Observed
+from .base import Method, Trajectory, Twin
+
+__all__ = ["METHODS", "Static", "StaticTwin"]
+
+
+@dataclass(frozen=True)
+class StaticTwin(Twin):
+    """``structure`` (M, 3) metres in the order tracked | surface | interior, ``counts`` of each; every frame is frame 0."""
+
+    structure: np.ndarray
+    counts: tuple[int, int, int]
+
+    def rollout(self, controllers) -> Trajectory:
+        positions = np.broadcast_to(self.structure.astype(np.float32), (len(controllers), *self.structure.shape))
+        return Trajectory(positions, self.counts)
+
+    def retarget(self, target: Observed) -> StaticTwin:
+        return type(self)(target.structure, target.counts)
+
+    def save(self, folder: Path) -> None:
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez(folder / "twin.npz", structure=self.structure)
+        (folder / "twin.json").write_text(json.dumps({"counts": self.counts}), encoding="utf-8")
+
+    @classmethod
+    def load(cls, folder: Path) -> StaticTwin:
+        with np.load(Path(folder) / "twin.npz", allow_pickle=False) as arrays:
+            structure = arrays["structure"]
+        return cls(structure, tuple(json.loads((Path(folder) / "twin.json").read_text(encoding="utf-8"))["counts"]))
+
+
+class Static(Method):
+    """Holds frame 0."""
+
+    name = "static"
+    twin = StaticTwin
+
+    def fit(self, observed, *, budget, seed=0, device="cpu", progress=None) -> StaticTwin:
+        return self.twin(observed[0].structure, observed[0].counts)
+
+
+METHODS = (Static,)
