@@ -23,6 +23,7 @@ SPACING = 0.01  # m between particles: the closest markers (2 cm) still get one 
 STRETCH = 0.015  # m: in 95 % of its frames a sound recording exceeds the median chord by at most 10 mm, one with swapped ends by 26 mm
 STRETCHED_FRAMES = 0.05  # of all frames: markers of sound recordings glitch too, but in single frames
 JOIN = 0.006  # m: blocks that continue each other miss by at most 2.7 mm, all others by at least 13 mm; this is the geometric mean
+JITTER = 1e-4  # m: of a measured distance, so that one that never changes has a scale
 MIN_FRAMES = 10
 TRAIN_SHARE = 0.7  # of an eval recording's frames, where one is fitted in-domain on request: PhysTwin's split
 
@@ -221,7 +222,7 @@ def infer_paths(recordings: Sequence[Recording]) -> tuple[tuple[int, ...], ...]:
         distance = [_chords(r.markers, [(j, i) for j in range(i)]) for r in recordings]
         mean = np.median([np.nanmedian(d, axis=0) for d in distance], axis=0)
         spread = np.median([np.nanstd(d, axis=0) for d in distance], axis=0)
-        joint = int(np.argmin(mean * spread))
+        joint = int(np.argmin(mean * (spread + JITTER)))
         if joint == i - 1:
             paths[-1].append(i)
         else:
