@@ -24,6 +24,7 @@ STRETCH = 0.015  # m: in 95 % of its frames a sound recording exceeds the median
 STRETCHED_FRAMES = 0.05  # of all frames: markers of sound recordings glitch too, but in single frames
 JOIN = 0.006  # m: blocks that continue each other miss by at most 2.7 mm, all others by at least 13 mm; this is the geometric mean
 JITTER = 1e-4  # m: of a measured distance, so that one that never changes has a scale
+THINNED = 5  # frames: neighbours in time say the same of a distance's spread
 MIN_FRAMES = 10
 TRAIN_SHARE = 0.7  # of an eval recording's frames, where one is fitted in-domain on request: PhysTwin's split
 
@@ -219,7 +220,7 @@ def infer_paths(recordings: Sequence[Recording]) -> tuple[tuple[int, ...], ...]:
     """
     paths = [[0]]
     for i in range(1, recordings[0].markers.shape[1]):
-        distance = [_chords(r.markers, [(j, i) for j in range(i)]) for r in recordings]
+        distance = [_chords(r.markers[::THINNED], [(j, i) for j in range(i)]) for r in recordings]
         mean = np.median([np.nanmedian(d, axis=0) for d in distance], axis=0)
         spread = np.median([np.nanstd(d, axis=0) for d in distance], axis=0)
         joint = int(np.argmin(mean * (spread + JITTER)))
