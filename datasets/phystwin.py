@@ -44,7 +44,7 @@ def read_case(folder: str | Path) -> Scenario:
     folder = Path(folder).resolve()
     data = read_arrays(folder / "final_data.pkl")
     extra = read_extra(folder)
-    length = len(data["object_points"]) if np.ndim(data["object_points"]) else 0
+    length = len(data["object_points"])
     split = read_split(folder / "split.json", length)
     metadata = read_json(folder / "metadata.json") if (folder / "metadata.json").exists() else {}
     tracks = folder / "gt_track_3d.pkl"
@@ -74,6 +74,11 @@ def read_arrays(file: Path) -> dict:
     missing = [key for key in _REQUIRED if key not in data]
     if missing:
         raise ValueError(f"{file}: {', '.join(missing)} missing; it holds {', '.join(map(str, data)) or 'nothing'}")
+    for key in set(ARRAYS) & set(data):
+        if not isinstance(data[key], np.ndarray):
+            raise ValueError(f"{file}: {key} must be an array, got a {type(data[key]).__name__}")
+    if data["object_points"].ndim != 3:
+        raise ValueError(f"{file}: object_points must have shape (frames, points, 3), got {data['object_points'].shape}")
     return data
 
 
