@@ -31,14 +31,27 @@ def digest(*parts) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file beside ``path`` that takes its place in one rename, or is removed if anything goes wrong."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """A temporary file beside ``path`` that takes its place in one rename, or is removed if anything goes wrong.
+
+    Raises OSError naming ``path`` where the disk refuses.
+    """
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    with _naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """A full disk does not say which file it was."""
     try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+        yield
+    except OSError as error:
+        raise OSError(error.errno, f"{path} cannot be written ({error.strerror or error}); nothing of it was kept") from error
 
 
 class Cache:
@@ -72,18 +85,23 @@ class Cache:
         return None
 
     def write_folder(self, kind: str, key: str, fill: Callable[[Path], None], about: dict) -> None:
-        """Store the folder that ``fill(folder)`` writes, described by JSON-able ``about``. Replaces a damaged entry."""
+        """Store the folder that ``fill(folder)`` writes, described by JSON-able ``about``. Replaces a damaged entry.
+
+        Raises OSError where the disk refuses, and leaves nothing behind then.
+        """
         self._sweep()
         temporary = self.root / "tmp" / uuid.uuid4().hex
-        try:
-            (temporary / "content").mkdir(parents=True)
-            fill(temporary / "content")
-            value = {"about": about, "files": _hash_files(temporary / "content")}
-            (temporary / "entry.json").write_text(json.dumps({"digest": digest(value), "value": value}), encoding="utf-8")
-            (self.root / kind).mkdir(parents=True, exist_ok=True)
-            self._move(temporary, self.root / kind / key)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
+        final = self.root / kind / key
+        with _naming(final):
+            try:
+                (temporary / "content").mkdir(parents=True)
+                fill(temporary / "content")
+                value = {"about": about, "files": _hash_files(temporary / "content")}
+                (temporary / "entry.json").write_text(json.dumps({"digest": digest(value), "value": value}), encoding="utf-8")
+                final.parent.mkdir(parents=True, exist_ok=True)
+                self._move(temporary, final)
+            finally:
+                shutil.rmtree(temporary, ignore_errors=True)
 
     def _move(self, temporary: Path, final: Path) -> None:
         if final.exists() and self.read_folder(final.parent.name, final.name) is None:

@@ -1,7 +1,7 @@
 """What goes into the cache's keys: the content of recordings and the source code that worked on them.
 
-Hashing recordings needs reading them, which takes longer than a cached run may. So the hashes of a folder's recordings are remembered
-under the folder's listing (names, sizes, times of change): touching a file costs a second look, never a wrong answer.
+Hashing recordings needs reading them, which takes longer than a cached run may; so the hashes of a folder's recordings are remembered
+as long as none of its files changes.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datasets.collection import Collection
 from ..datasets.scenario import Images, Scenario
 from .cache import Cache, digest
 
-__all__ = ["Checksums", "checksum", "code", "listing", "method_code"]
+__all__ = ["Checksums", "checksum", "code", "method_code"]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -47,14 +46,6 @@ def _feed(state, value) -> None:
         state.update(f"{type(value).__name__} {value!r};".encode())
 
 
-def listing(folder: Path) -> str:
-    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``."""
-    folder = Path(folder).resolve()
-    files = sorted(folder.rglob("*")) if folder.is_dir() else [folder]
-    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in files if file.is_file()]
-    return digest(str(folder), seen)
-
-
 @cache
 def code(*rooms: str) -> str:
     """Hexadecimal SHA-256 of every Python file in these rooms of the package."""
@@ -80,15 +71,11 @@ def _hash(files) -> str:
 
 
 class Checksums:
-    """Checksums of a collection's recordings, remembered in ``cache`` where ``folder`` says which files they were read from."""
+    """Checksums of recordings by name, remembered in ``cache`` under ``key`` where there is one."""
 
-    def __init__(self, collection: Collection, cache: Cache, *, folder: Path | None = None, split: str = "published"):
-        self._collection, self._cache = collection, cache
-        self._known: dict[str, str] = {}
-        self._key = None
-        if folder is not None:
-            self._key = digest(listing(folder), split, code("datasets"))
-            self._known = self._cache.read("data", self._key) or {}
+    def __init__(self, cache: Cache, key: str | None = None):
+        self._cache, self._key = cache, key
+        self._known: dict[str, str] = (cache.read("checksums", key) if key else None) or {}
 
     def learn(self, names: Iterable[str], load: Callable[[str], Scenario]) -> None:
         """Read with ``load`` those recordings whose checksums are not known yet."""
@@ -96,7 +83,7 @@ class Checksums:
         for name in unknown:
             self._known[name] = checksum(load(name))
         if unknown and self._key is not None:
-            self._cache.write("data", self._key, self._known)
+            self._cache.write("checksums", self._key, self._known)
 
     def __getitem__(self, name: str) -> str:
         return self._known[name]

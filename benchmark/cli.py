@@ -45,6 +45,7 @@ class Run:
 
     def __call__(self) -> int:
         from .cache import Cache, default_cache
+        from .opening import open_recordings
         from .plan import TASKS, plan
         from .results import Results, write_results
         from .runner import Runner, Settings
@@ -54,25 +55,27 @@ class Run:
             _known(option, [value], known)
         _known("task", self.tasks, TASKS)
         methods, metrics = _methods(self.methods), _metrics()
-        opened = [_open(path, self.split) for path in self.data]
-        _check_scenarios(self.scenarios, [collection for collection, _ in opened])
         settings, cache = Settings(methods, metrics, self.preset, self.device), Cache(default_cache())
+        opened = [open_recordings(path, split=self.split, cache=cache) for path in dict.fromkeys(self.data)]
+        _known("scenario", self.scenarios, list(dict.fromkeys(name for found in opened for name in found.collection.scenarios)))
         work = []
-        for collection, folder in opened:
-            chosen = tuple(name for name in self.scenarios if name in collection.scenarios)
-            fits = plan(collection, methods=methods, tasks=self.tasks, seeds=self.seeds, scenarios=chosen)
+        for found in opened:
+            chosen = tuple(name for name in self.scenarios if name in found.collection.scenarios)
+            fits = plan(found.collection, methods=methods, tasks=self.tasks, seeds=self.seeds, scenarios=chosen)
             if fits and (chosen or not self.scenarios):
-                work.append((Runner(collection, settings, cache, folder=folder, split=self.split), fits))
+                work.append((Runner(found, settings, cache), fits))
         if not work:
             raise ValueError(f"nothing to do: no task of {', '.join(self.tasks)} is scored on the chosen recordings")
         rows = []
         for runner, fits in work:
             with _Bar(runner.collection.name) as bar:
                 rows += runner.run(fits, progress=bar)
-        results = Results.of(rows, metrics, [collection for collection, _ in opened])
+        results = Results.of(rows, metrics, [found.collection for found in opened])
         folder = self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for runner, _ in work))
         written = write_results(results, folder)
         print(terminal(results))
+        for note in filter(None, (found.note for found in opened)):
+            print(note)
         print(f"\nWritten to {folder}: {', '.join(path.name for path in written)}")
         return 1 if any(row["status"] == "failed" for row in rows) else 0
 
@@ -117,17 +120,26 @@ class Check:
 
 @dataclass(frozen=True)
 class Download:
-    """Download the published archives. Goes on where it stopped, and says first how much there is to fetch."""
+    """Download published archives and unpack them. Says first how much there is to fetch; goes on where it stopped."""
 
     archives: Annotated[Positional[tuple[str, ...]], arg(metavar="[ARCHIVE ...]")] = ("data",)
-    """Which archives."""
+    """Any of: data, experiments_optimization, experiments, gaussian_output, additional_data."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("data")
     """Where to put them."""
+    yes: bool = False
+    """Do not ask."""
+    url: Annotated[str | None, arg(metavar="URL")] = None
+    """Another server that has the archives."""
 
     def __call__(self) -> int:
-        from ..datasets.download import download
+        from ..datasets.download import BASE_URL, download, plan
 
-        download(self.archives, self.out)
+        url = self.url or BASE_URL
+        if self.yes:
+            print(plan(self.archives, self.out, base_url=url))
+        with _Bytes() as bar:
+            done = download(self.archives, self.out, base_url=url, progress=bar, yes=self.yes)
+        print(f"{', '.join(archive.name for archive in done.archives)} in {done.out}")
         return 0
 
 
@@ -143,6 +155,8 @@ class List:
     def __call__(self) -> int:
         from ..datasets.collection import layouts
         from ..methods.registry import methods
+        from .cache import Cache, default_cache
+        from .opening import open_recordings
         from .plan import TASKS
 
         _known("split", [self.split], _SPLITS)
@@ -152,7 +166,7 @@ class List:
         _section("tasks", TASKS)
         _section("layouts", {name: _first_line(type(layout)) for name, layout in layouts().items()})
         for path in self.data:
-            collection, _ = _open(path, self.split)
+            collection = open_recordings(path, split=self.split, cache=Cache(default_cache())).collection
             _section(f"recordings of {collection.name} ({path})", {name: _roles(collection, name) for name in collection.scenarios})
         return 0
 
@@ -202,18 +216,6 @@ def _metrics() -> dict:
     return metrics()
 
 
-def _open(path: str, split: str):
-    """The collection at ``path``, and the folder whose listing stands for its content."""
-    from ..datasets import collection
-
-    folder = Path(collection.__file__).parent / "sample" if path == "sample" else Path(path)
-    return collection.open_collection(path, split=split), folder
-
-
-def _check_scenarios(names: Iterable[str], collections) -> None:
-    _known("scenario", names, list(dict.fromkeys(name for collection in collections for name in collection.scenarios)))
-
-
 class _Bar:
     """A progress bar on standard error; nothing where that is no terminal."""
 
@@ -235,6 +237,27 @@ class _Bar:
 
     def __exit__(self, *_):
         self._bar.close()
+
+
+class _Bytes:
+    """A progress bar for each file being fetched; nothing where standard error is no terminal."""
+
+    def __init__(self):
+        self._bars: dict = {}
+
+    def __enter__(self):
+        return self
+
+    def __call__(self, name: str, here: int, size: int | None) -> None:
+        from tqdm import tqdm
+
+        if name not in self._bars:
+            self._bars[name] = tqdm(total=size, disable=None, desc=name, unit="B", unit_scale=True, initial=here)
+        self._bars[name].update(here - self._bars[name].n)
+
+    def __exit__(self, *_):
+        for bar in self._bars.values():
+            bar.close()
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -67,6 +67,4 @@ def plan(
     if scenarios:
         scored = {sources: [e for e in found if e.target in scenarios] for sources, found in scored.items()}
     methods, seeds = tuple(dict.fromkeys(methods)), tuple(dict.fromkeys(seeds))
-    return [
-        Fit(method, sources, seed, tuple(found)) for sources, found in scored.items() if found for method in methods for seed in seeds
-    ]
+    return [Fit(method, sources, seed, tuple(found)) for sources, found in scored.items() if found for method in methods for seed in seeds]

@@ -13,12 +13,12 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from ..datasets.collection import Collection
 from ..datasets.scenario import Scenario
 from ..methods.base import Budget, Diverged, Method, Trajectory, Twin
 from ..metrics.base import Metric, score
 from .cache import Cache, digest
 from .checksum import Checksums, code, method_code
+from .opening import Opened
 from .plan import Evaluation, Fit, frames
 from .provenance import device_name, peak_memory, provenance, reset_peak_memory
 
@@ -67,9 +67,10 @@ class Runner:
     are not stored: what made them fail (memory, a missing package) may be gone the next time.
     """
 
-    def __init__(self, collection: Collection, settings: Settings, cache: Cache, *, folder: Path | None = None, split: str = "published"):
-        self.collection, self.settings, self.cache = collection, settings, cache
-        self._checksums = Checksums(collection, cache, folder=folder, split=split)
+    def __init__(self, opened: Opened, settings: Settings, cache: Cache):
+        self.collection, self.split = opened.collection, opened.split
+        self.settings, self.cache = settings, cache
+        self._checksums = Checksums(cache, opened.key)
         self._loaded: WeakValueDictionary[str, Scenario] = WeakValueDictionary()
         self._held: list[Scenario] = []
 
@@ -223,6 +224,7 @@ class Runner:
             "task": evaluation.task,
             "seed": fit.seed,
             "preset": self.settings.preset,
+            "split": self.split,
             "data_checksum": self._checksums[evaluation.target],
             "code_checksum": method_code(self.settings.methods[fit.method]),
         }

@@ -79,7 +79,8 @@ def _published(results: Results, collection: str, task: str) -> list[Line]:
     for method in dict.fromkeys(method for _, method, _ in figures):
         means = {metric: figures.get((task, method, metric), math.nan) for metric in results.units}
         counts = {metric: int(math.isfinite(mean)) for metric, mean in means.items()}
-        lines.append(Line(f"{method} (published)", means, counts, published=True))
+        label = method if method.endswith("(published)") else f"{method} (published)"
+        lines.append(Line(label, means, counts, published=True))
     return lines
 
 

@@ -36,12 +36,17 @@ def _spans_a_plane(centred, tolerance) -> bool:
 
 
 class RigidTwin(StaticTwin):
-    """Frame 0 moved by the rigid motion that best explains how the controllers moved since frame 0."""
+    """Frame 0 moved by the rigid motion that best explains how the controllers moved since frame 0.
+
+    A driven marker is where its controller is: that position is given to every method, not predicted.
+    """
 
     def rollout(self, controllers) -> Trajectory:
         controllers = np.asarray(controllers, float)
         motions = [rigid_motion(controllers[0], now) for now in controllers]
         positions = np.stack([self.structure @ rotation.T + shift for rotation, shift in motions])
+        driven = np.flatnonzero(self.grips >= 0)
+        positions[:, self.grips[driven]] = controllers[:, driven]
         return Trajectory(positions.astype(np.float32), self.counts)
 
 

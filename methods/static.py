@@ -16,29 +16,39 @@ __all__ = ["METHODS", "Static", "StaticTwin"]
 
 @dataclass(frozen=True)
 class StaticTwin(Twin):
-    """``structure`` (M, 3) metres in the order tracked | surface | interior, ``counts`` of each; every frame is frame 0."""
+    """Every frame is frame 0: ``structure`` (M, 3) metres in the order tracked | surface | interior, ``counts`` of each.
+
+    ``grips`` (C,) is the tracked point that controller c is, or -1.
+    """
 
     structure: np.ndarray
     counts: tuple[int, int, int]
+    grips: np.ndarray
+
+    @classmethod
+    def of(cls, observed: Observed) -> StaticTwin:
+        """The twin in frame 0 of a recording."""
+        return cls(observed.structure, observed.counts, observed.grips)
 
     def rollout(self, controllers) -> Trajectory:
         positions = np.broadcast_to(self.structure.astype(np.float32), (len(controllers), *self.structure.shape))
         return Trajectory(positions, self.counts)
 
     def retarget(self, target: Observed) -> StaticTwin:
-        return type(self)(target.structure, target.counts)
+        return self.of(target)
 
     def save(self, folder: Path) -> None:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        np.savez(folder / "twin.npz", structure=self.structure)
+        np.savez(folder / "twin.npz", structure=self.structure, grips=self.grips)
         (folder / "twin.json").write_text(json.dumps({"counts": self.counts}), encoding="utf-8")
 
     @classmethod
     def load(cls, folder: Path) -> StaticTwin:
         with np.load(Path(folder) / "twin.npz", allow_pickle=False) as arrays:
-            structure = arrays["structure"]
-        return cls(structure, tuple(json.loads((Path(folder) / "twin.json").read_text(encoding="utf-8"))["counts"]))
+            structure, grips = arrays["structure"], arrays["grips"]
+        counts = json.loads((Path(folder) / "twin.json").read_text(encoding="utf-8"))["counts"]
+        return cls(structure, tuple(counts), grips)
 
 
 class Static(Method):
@@ -48,7 +58,7 @@ class Static(Method):
     twin = StaticTwin
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None) -> StaticTwin:
-        return self.twin(observed[0].structure, observed[0].counts)
+        return self.twin.of(observed[0])
 
 
 METHODS = (Static,)

@@ -14,7 +14,7 @@ from twinbench.methods.static import StaticTwin
 SINGLE = 2e-6  # metres; positions of order 1 are returned in single precision
 
 
-def recording(controllers, *, seed=0):
+def recording(controllers, *, seed=0, grips=None):
     random = np.random.default_rng(seed)
     frames = len(controllers)
     return Observed(
@@ -23,6 +23,7 @@ def recording(controllers, *, seed=0):
         visible=np.ones((frames, 7), bool),
         motion_valid=np.zeros((frames, 7), bool),
         controllers=controllers,
+        grips=grips,
         surface=random.normal(size=(3, 3)),
         interior=random.normal(size=(2, 3)),
     )
@@ -62,9 +63,7 @@ def test_rigid_only_translates_with_fewer_than_three_controllers(hands):
     controllers, _, _ = motion(1, hands=hands)
     observed = recording(controllers)
     shift = controllers.mean(axis=1) - controllers[0].mean(axis=0)
-    np.testing.assert_allclose(
-        fit("rigid", observed).rollout(controllers).positions, observed.structure + shift[:, None], atol=SINGLE * 5
-    )
+    np.testing.assert_allclose(fit("rigid", observed).rollout(controllers).positions, observed.structure + shift[:, None], atol=SINGLE * 5)
 
 
 def test_rigid_only_translates_with_controllers_on_a_line():
@@ -77,6 +76,14 @@ def test_rigid_only_translates_with_controllers_on_a_line():
 def test_rigid_without_controllers_stays():
     observed = recording(np.zeros((4, 0, 3)))
     np.testing.assert_allclose(fit("rigid", observed).rollout(observed.controllers).positions[3], observed.structure, atol=SINGLE)
+
+
+def test_rigid_puts_driven_markers_where_they_are_driven():
+    controllers = np.random.default_rng(3).normal(size=(5, 4, 3))
+    free, driven = (fit("rigid", recording(controllers, grips=grips)).rollout(controllers).positions for grips in (None, [2, -1, 0, -1]))
+    np.testing.assert_allclose(driven[:, [2, 0]], controllers[:, [0, 2]], atol=SINGLE)
+    others = [i for i in range(12) if i not in (0, 2)]
+    np.testing.assert_array_equal(driven[:, others], free[:, others])
 
 
 @settings(max_examples=50, deadline=None)

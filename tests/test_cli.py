@@ -1,0 +1,167 @@
+"""The command line: what it prints, what it writes, and one clear line for wrong input."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from twinbench.benchmark.cli import main
+from twinbench.datasets.phystwin import write_case
+from twinbench.datasets.scenario import Scenario, Split
+
+
+def scenario(seed):
+    random = np.random.default_rng(seed)
+    shift = np.zeros((10, 1, 3))
+    shift[:, 0, 2] = -0.01 * np.arange(10)
+    points = random.uniform(-0.1, 0.1, size=(12, 3)) + np.array([0, 0, -0.3]) + shift
+    return Scenario(
+        name="",
+        points=points,
+        visible=np.ones((10, 12), bool),
+        motion_valid=np.ones((10, 12), bool),
+        controllers=points[:, :4] + 0.01,
+        split=Split(7, 10),
+        tracks=points[:, :3],
+        object="thing",
+    )
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cases") / "thing"
+    for seed, name in enumerate(("lift_once", "lift_twice")):
+        write_case(folder / name, scenario(seed))
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """Each test in its own working directory with its own cache."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("TWINBENCH_CACHE", str(tmp_path / "cache"))
+
+
+def run(*options):
+    return main(["run", "--methods", "static", "rigid", *map(str, options)])
+
+
+def test_run_prints_and_writes_the_table(cases, capsys):
+    assert run("--data", cases) == 0
+    out, err = capsys.readouterr()
+    for text in ("thing, resimulation", "thing, prediction", "thing, transfer", "static", "rigid", "chamfer [mm]", "track_error [mm]"):
+        assert text in out
+    assert err == ""  # the progress bar keeps quiet without a terminal
+    folder = Path("results/thing")
+    assert sorted(file.name for file in folder.iterdir()) == ["about.json", "rows.csv", "rows.parquet", "table.md", "table.tex"]
+    # resimulation: frames 1..6 at 10 mm a frame along z, where the static twin's matched particles stay behind: mean 35 mm
+    line = next(line for line in (folder / "table.md").read_text().splitlines() if line.startswith("| static"))
+    assert "| 35.00 |" in line
+
+
+def test_table_prints_again_what_run_printed(cases, capsys):
+    run("--data", cases, "--out", "here")
+    printed = capsys.readouterr().out
+    assert main(["table", "here"]) == 0
+    assert capsys.readouterr().out.strip() in printed
+    main(["table", "here", "--format", "markdown"])
+    assert capsys.readouterr().out.strip() == Path("here/table.md").read_text().strip()
+
+
+def test_scenarios_tasks_and_seeds_are_chosen(cases, capsys):
+    assert run("--data", cases, "--scenarios", "lift_twice", "--tasks", "prediction", "--seeds", 0, 1, "--out", "o") == 0
+    lines = Path("o/rows.csv").read_text().splitlines()
+    assert len(lines) == 1 + 2 * 2 and all("lift_twice" in line and ",prediction," in line for line in lines[1:])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, check, download, list"),
+        (["run", "--methods", "ridgid"], "unknown method 'ridgid'; did you mean 'rigid'?"),
+        (["run", "--tasks", "predictoin"], "unknown task 'predictoin'; did you mean 'prediction'?"),
+        (["run", "--preset", "ful"], "unknown preset 'ful'; did you mean 'full'? known: quick, full"),
+        (["run", "--device", "cuda:0"], "unknown device 'cuda:0'; did you mean 'cuda'? known: cpu, cuda"),
+        (["run", "--split", "claen"], "unknown split 'claen'; did you mean 'clean'?"),
+        (["run", "--methods", "static", "--data", "nowhere"], "no recordings at nowhere: no such file or folder"),
+        (["table", "nowhere"], "no results in nowhere: rows.parquet is missing"),
+        (["table", "nowhere", "--format", "html"], "unknown format 'html'"),
+        (["check", "nowhere"], "no recording at nowhere"),
+        (["download", "dota"], "unknown archive 'dota'; did you mean 'data'?"),
+        (["list", "--data", "nowhere"], "no recordings at nowhere"),
+    ],
+)
+def test_wrong_input_is_one_line_and_code_2(arguments, message, capsys):
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("twinbench: ") and message in err and err.count("\n") == 1
+    assert "Traceback" not in out + err
+
+
+def test_unknown_scenario_suggests_the_nearest(cases, capsys):
+    assert run("--data", cases, "--scenarios", "lift_one") == 2
+    assert "unknown scenario 'lift_one'; did you mean 'lift_once'?" in capsys.readouterr().err
+
+
+def test_unknown_option_suggests_the_nearest(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(["run", "--presets", "quick"])
+    assert stopped.value.code == 2
+    assert "--preset" in capsys.readouterr().err.split("Perhaps", 1)[1]
+
+
+def test_nothing_to_do_is_said(cases, capsys):
+    assert run("--data", cases / "lift_once", "--tasks", "transfer") == 2
+    assert "nothing to do" in capsys.readouterr().err
+
+
+def test_a_recording_that_cannot_be_read_is_one_line(cases, tmp_path, capsys):
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "final_data.pkl").write_bytes(b"not a pickle")
+    assert run("--data", tmp_path / "bad") == 2
+    err = capsys.readouterr().err
+    assert "final_data.pkl" in err and err.count("\n") == 1
+
+
+def test_check_tells_by_its_exit_code(cases, tmp_path, capsys):
+    main(["check", str(cases / "lift_once")])
+    assert " error" not in capsys.readouterr().out
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "final_data.pkl").write_bytes(b"not a pickle")
+    assert main(["check", str(tmp_path / "bad")]) == 1
+    assert "final_data.pkl" in capsys.readouterr().out
+
+
+def test_list_names_everything(cases, capsys):
+    assert main(["list", "--data", str(cases)]) == 0
+    out = capsys.readouterr().out
+    for text in ("static", "rigid", "chamfer", "coordinate_error", "prediction", "phystwin", "lift_once", "transfer from lift_once"):
+        assert text in out
+
+
+FRESH = """
+import json, sys
+from twinbench.benchmark.cli import main
+code = main({arguments!r})
+print("\\n" + json.dumps([code, sorted({{"torch", "warp", "cv2", "scipy.spatial"}} & set(sys.modules))]))
+"""
+
+
+def fresh(arguments):
+    """Exit code and heavy modules imported by the command line in a new process."""
+    done = subprocess.run([sys.executable, "-c", FRESH.format(arguments=arguments)], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_a_repeated_run_imports_no_engine_and_does_not_read_the_recordings(cases):
+    arguments = ["run", "--methods", "static", "rigid", "--data", str(cases)]
+    assert fresh(arguments)[0] == 0
+    assert fresh(arguments) == [0, []]
+
+
+def test_help_is_light(tmp_path):
+    source = "import sys\nimport twinbench.benchmark.cli\nprint({'torch', 'warp', 'pandas', 'scipy'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True).stdout == "set()\n"
