@@ -1,0 +1,367 @@
+"""Many systems stepped together as one disjoint union: CMA-ES populations, recordings of one object, hypotheses, seeds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import numpy as np
+import torch
+import warp as wp
+
+from .contacts import candidates
+from .kernels import Laws, build
+from .stability import stable_substeps
+from .system import System
+from .terms.base import STAGES
+
+__all__ = ["Batch", "Inputs", "Rollout"]
+
+FAR = 1e3  # m: a particle this far from the origin has left any room; the roll-out counts as diverged
+HISTORY_BYTES = 1 << 30  # memory that the states of one stretch may take on the way back
+
+
+@dataclass
+class Inputs:
+    """Everything continuous that a roll-out depends on, as tensors over the whole batch; any of them may require gradients.
+
+    x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns)
+    """
+
+    x: torch.Tensor
+    v: torch.Tensor
+    mass: torch.Tensor
+    rest: torch.Tensor
+    stiffness: torch.Tensor
+    path: torch.Tensor
+    table: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """``positions``: per system (F, M, 3) tensors. ``diverged``: per system the first bad frame, or -1."""
+
+    positions: list[torch.Tensor]
+    diverged: np.ndarray
+
+
+class Batch:
+    """B systems with the same kinds of terms, ready to be stepped.
+
+    fps       frames per second of all controller paths; shorter paths hold their last frame
+    substeps  steps per frame, or "auto": from the stability limit (``physics.stability``)
+    dt        seconds per substep where it is not 1 / (fps substeps) (PhysTwin: 5e-5 in 667 substeps is 33.35 ms, not 33.33)
+    device    "cpu", "cuda" or "cuda:1"
+    double    float64 instead of float32
+    workers   CPU threads that share the systems (all cores by default; results do not depend on it)
+    team      CUDA only: (blocks per system, threads per block, lanes per particle)
+    """
+
+    def __init__(
+        self,
+        systems: Sequence[System],
+        *,
+        fps: float,
+        substeps: int | str = "auto",
+        dt: float | None = None,
+        device: str = "cpu",
+        double: bool = False,
+        workers: int | None = None,
+        team: tuple[int, int, int] | None = None,
+    ):
+        systems = list(systems)
+        if not systems:
+            raise ValueError("a batch needs at least one system")
+        kinds = [tuple(type(t) for t in s.terms) for s in systems]
+        if any(k != kinds[0] for k in kinds):
+            raise ValueError("all systems of a batch must have the same kinds of terms in the same order")
+        if not fps > 0:
+            raise ValueError(f"fps must be > 0, got {fps}")
+        self.systems = systems
+        self.laws = Laws(kinds[0])
+        self.device = torch.device(device)
+        self.dtype = torch.float64 if double else torch.float32
+        self.substeps = stable_substeps(systems, 1 / fps) if substeps == "auto" else int(substeps)
+        if self.substeps < 1:
+            raise ValueError(f"substeps must be >= 1 or 'auto', got {substeps}")
+        self.dt = 1 / (fps * self.substeps) if dt is None else float(dt)
+        self.columns = self.laws.columns
+        self.colliding = bool(self.laws.stage("contact"))
+        cuda = self.device.type == "cuda"
+        self._device = "cpu" if not cuda else f"cuda:{self.device.index or 0}"
+        self._assemble()
+        # (blocks per system, threads per block, lanes per particle); a CPU team is one thread
+        self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
+        self.kernels = build(self.laws, double, not cuda, self._team[2])
+        self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
+
+    # ---------------------------------------------------------------- assembly
+
+    def _assemble(self):
+        systems = self.systems
+        sizes = np.array([s.particle_count for s in systems])
+        hands = [np.flatnonzero(s.grips < 0) for s in systems]  # controllers that are nodes of their own
+        nodes = sizes + [len(h) for h in hands]
+        start = np.concatenate([[0], np.cumsum(nodes)])
+        spring_start = np.concatenate([[0], np.cumsum([len(s.springs) for s in systems])])
+        path_start = np.concatenate([[0], np.cumsum([s.controllers.shape[1] for s in systems])])
+        frames = max(len(s.controllers) for s in systems)
+        count = int(start[-1])
+        x, v, mass = np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count)
+        driver, lead = np.full(count, -1), np.zeros(count)
+        ends, paths = [], []
+        for k, s in enumerate(systems):
+            own = slice(start[k], start[k] + sizes[k])
+            x[own], v[own], mass[own] = s.positions, s.velocities, s.masses
+            index = np.full(sizes[k] + len(s.grips), -1)
+            index[: sizes[k]] = np.arange(sizes[k])
+            index[sizes[k] + hands[k]] = sizes[k] + np.arange(len(hands[k]))
+            held = np.flatnonzero(s.grips >= 0)
+            index[sizes[k] + held] = s.grips[held]
+            driver[start[k] + s.grips[held]] = path_start[k] + held
+            driver[start[k] + sizes[k] + np.arange(len(hands[k]))] = path_start[k] + hands[k]
+            lead[start[k] + sizes[k] : start[k + 1]] = 1
+            ends.append(index[s.springs] + start[k])
+            paths.append(np.concatenate([s.controllers, np.repeat(s.controllers[-1:], frames - len(s.controllers), 0)]))
+        ends = np.concatenate(ends).reshape(-1, 2)
+        if (ends[:, 0] == ends[:, 1]).any():
+            raise ValueError("a spring ties a particle to itself (a controller spring to the particle that the controller grips?)")
+        here, other = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
+        spring = np.tile(np.arange(len(ends)), 2)
+        order = np.lexsort((spring, other > here, here))
+        row = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=count))])
+        own = row[1:] - np.bincount(here[other > here], minlength=count)
+        self.node_count, self.frame_count = count, frames
+        self.starts, self.sizes, self.spring_starts, self.path_starts = start, sizes, spring_start, path_start
+        self.integers = {
+            name: torch.as_tensor(np.ascontiguousarray(value), dtype=torch.int32, device=self.device)
+            for name, value in dict(
+                start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead
+            ).items()
+        }
+        table = np.zeros((len(systems), len(self.columns)))
+        for k, s in enumerate(systems):
+            values = s.values
+            table[k] = [values.get(name, 0.0) for name in self.columns]
+        self.inputs = Inputs(
+            x=self._real(x),
+            v=self._real(v),
+            mass=self._real(mass),
+            rest=self._real(np.concatenate([s.rest for s in systems])),
+            stiffness=self._real(np.concatenate([s.stiffness for s in systems])),
+            path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
+            table=self._real(table),
+        )
+
+    def _real(self, value):
+        return torch.as_tensor(np.ascontiguousarray(value), dtype=self.dtype, device=self.device)
+
+    def column(self, name: str) -> int:
+        """The parameter table's column called ``name``."""
+        from ..datasets.collection import nearest
+
+        if name not in self.columns:
+            raise ValueError(f"no term of this batch has a parameter {name!r}; {nearest(name, [c for c in self.columns if c[0] != '_'])}")
+        return self.columns.index(name)
+
+    def split(self, nodes: torch.Tensor) -> list[torch.Tensor]:
+        """Views of a (..., nodes, 3) tensor, one (..., M, 3) per system, controllers left out."""
+        return [nodes[..., a : a + m, :] for a, m in zip(self.starts[:-1], self.sizes, strict=True)]
+
+    # ---------------------------------------------------------------- running
+
+    def rollout(self, frames: int | None = None, inputs: Inputs | None = None) -> Rollout:
+        """Simulate frames 0 to ``frames`` - 1 (all by default) without gradients; frame 0 is the start.
+
+        A system that blows up does not disturb the others; its first frame with a non-finite or far particle is in ``diverged``.
+        """
+        frames = self.frame_count if frames is None else frames
+        inputs = inputs or self.inputs
+        with torch.no_grad():
+            out, _, _ = self.march(0, frames - 1, inputs)
+            out = torch.cat([inputs.x[None], out])
+        positions = self.split(out)
+        return Rollout(positions, np.array([_first_bad(p) for p in positions]))
+
+    def march(self, frame: int, frames: int, inputs: Inputs | None = None):
+        """Simulate ``frames`` frames from ``frame`` on: positions (frames, nodes, 3) at their ends and the final x and v (nodes, 3).
+
+        Differentiable with respect to every tensor of ``inputs``. States are kept once a stretch of substeps and recomputed on the way back.
+        """
+        if not (frame >= 0 and frames >= 0):
+            raise ValueError(f"frame and frames must be >= 0, got {frame} and {frames}")
+        inputs = inputs or self.inputs
+        return _March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+
+    def stretches(self, frames: int, *, history: bool) -> list[tuple[int, int]]:
+        """(first substep, number of substeps) of each launch.
+
+        Contact candidates are looked up once a frame, so a launch ends there; one that keeps its history ends where memory does.
+        """
+        total = frames * self.substeps
+        longest = self.substeps if self.colliding else max(1, total)
+        if history:
+            arrays = 5 if self.colliding else 4
+            room = max(1, HISTORY_BYTES // (self.node_count * self.dtype.itemsize * 3 * arrays))
+            longest = -(-longest // -(-longest // room))
+        cuts = [0]
+        while cuts[-1] < total:
+            frame_end = (cuts[-1] // self.substeps + 1) * self.substeps if self.colliding else total
+            cuts.append(min(cuts[-1] + longest, frame_end, total))
+        return [(a, b - a) for a, b in pairwise(cuts)]
+
+    def forward(self, world: _World, frame: int, begin: int, count: int) -> None:
+        """Step ``world`` from slot 0 through ``count`` substeps, the first being ``begin`` after ``frame``."""
+        self._launch(self.kernels.forward, [world], (frame, begin, count, self.substeps, world.slots, self.dt))
+
+    def backward(self, world: _World, adjoint: _Adjoint, frame: int, begin: int, count: int) -> None:
+        """Pull ``adjoint`` back through the substeps whose history ``world`` holds."""
+        self._launch(self.kernels.backward, [world, adjoint], (frame, begin, count, self.substeps, self.dt))
+
+    def _launch(self, kernel, carriers, tail):
+        blocks, threads, _ = self._team
+        carriers[0].tensors["counters"].zero_()
+
+        def go(first, last):
+            head = [c.struct for c in carriers] + [int(first), blocks]
+            dim = (int(last - first) * blocks, threads)
+            wp.launch(kernel, dim=dim, inputs=[*head, *tail], device=self._device, block_dim=threads)
+
+        if self._workers == 1:
+            go(0, len(self.systems))
+            return
+        kernel.module.load(wp.get_device(self._device), block_dim=threads)
+        cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
+        with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
+            list(pool.map(go, cuts[:-1], cuts[1:]))
+
+
+class _Carrier:
+    """A kernel struct over tensors that stay alive with it."""
+
+    def __init__(self, kernels, struct, tensors):
+        self.kernels, self.struct, self.tensors = kernels, struct(), {}
+        self.set(**tensors)
+
+    def set(self, **tensors):
+        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out"}
+        for name, tensor in tensors.items():
+            kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
+            dtype = wp.int32 if tensor.dtype == torch.int32 else kind
+            self.tensors[name] = tensor
+            if tensor.numel():
+                array = wp.from_torch(tensor, dtype=dtype)
+            else:  # Warp cannot wrap an empty tensor
+                array = wp.empty((0,) * (tensor.ndim - (kind is not self.kernels.real)), dtype=dtype, device=str(tensor.device))
+            setattr(self.struct, name, array)
+
+
+class _World(_Carrier):
+    """The state of a batch in ``slots`` slots, starting at (x, v), with ``near`` the contact candidates."""
+
+    def __init__(self, batch, values, x, v, near, slots, out):
+        n, self.slots = batch.node_count, slots
+
+        def empty(*shape, dtype=batch.dtype):
+            return torch.empty(shape, dtype=dtype, device=batch.device)
+
+        xs, vs = empty(slots, n, 3), empty(slots, n, 3)
+        xs[0], vs[0] = x, v
+        met = slots if batch.colliding else 1
+        counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
+        near_row, near = near or (counters, counters)
+        super().__init__(
+            batch.kernels,
+            batch.kernels.World,
+            dict(
+                **batch.integers,
+                **{k: values[k] for k in ("rest", "stiffness", "mass", "path", "table")},
+                **dict(x=xs, v=vs, pushed=empty(slots, n, 3), out=out, force=torch.zeros_like(x)),
+                **dict(free=empty(slots, n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
+                **dict(near_row=near_row, near=near, counters=counters),
+            ),
+        )
+
+    def state(self, substep: int):
+        """(x, v) at the start of ``substep``."""
+        return self.tensors["x"][substep % self.slots], self.tensors["v"][substep % self.slots]
+
+
+class _Adjoint(_Carrier):
+    """Adjoints of a batch's state and inputs, ``x`` and ``v`` those of the state at the end, ``out`` those of the positions at the frames."""
+
+    def __init__(self, batch, values, x, v, out):
+        self.batch = batch
+
+        def zeros(width):
+            return torch.zeros((batch.node_count, width), dtype=batch.dtype, device=batch.device)
+
+        stages = {s: zeros(batch.laws.width(s)) for s in ("axial", "body", "velocity", "contact", "move")}
+        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path")}
+        super().__init__(
+            batch.kernels,
+            batch.kernels.Adjoint,
+            dict(x=x.clone(), v=v.clone(), met=zeros(3), force=zeros(3), out=out, links=zeros(1)[:, 0], **stages, **inputs),
+        )
+
+    def gradients(self):
+        """By input: the state's at the start, and everything else's summed over the whole way."""
+        t, batch = self.tensors, self.batch
+        shares = torch.cat([t[s].reshape(batch.node_count, -1) for s in STAGES], 1)
+        table = torch.stack([shares[a:b].sum(0) for a, b in pairwise(batch.starts)])
+        return {"x": t["x"], "v": t["v"], "table": table, **{k: t[k] for k in ("mass", "rest", "stiffness", "path")}}
+
+
+class _March(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, batch, frame, frames, *inputs):
+        values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
+        x, v = values["x"], values["v"]
+        out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
+        back = any(ctx.needs_input_grad)
+        stretches = batch.stretches(frames, history=back)
+        ctx.starts, ctx.world, near = [], None, None
+        for begin, count in stretches:
+            if batch.colliding and begin % batch.substeps == 0:
+                near = candidates(batch, x, values["table"])
+            world = _World(batch, values, x, v, near, count + 1 if back and len(stretches) == 1 else 2, out)
+            ctx.starts.append((x, v, near))
+            batch.forward(world, frame, begin, count)
+            x, v = (t.clone() for t in world.state(count))
+            if back and len(stretches) == 1:
+                ctx.world = world
+        ctx.batch, ctx.frame, ctx.values, ctx.stretches = batch, frame, values, stretches
+        return out, x, v
+
+    @staticmethod
+    def backward(ctx, g_out, g_x, g_v):
+        batch, values = ctx.batch, ctx.values
+        adjoint = _Adjoint(batch, values, g_x.contiguous(), g_v.contiguous(), g_out.contiguous())
+        scratch = torch.empty_like(g_out)
+        for (begin, count), start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
+            world = ctx.world
+            if world is None:
+                world = _World(batch, values, *start, count + 1, scratch)
+                batch.forward(world, ctx.frame, begin, count)
+            batch.backward(world, adjoint, ctx.frame, begin, count)
+        gradients = adjoint.gradients()
+        return (None, None, None, *(gradients[f.name] for f in fields(Inputs)))
+
+
+def _first_bad(positions):
+    """First frame of (F, M, 3) with a non-finite or far coordinate, or -1."""
+    bad = ~(positions.abs() < FAR).flatten(1).all(1)
+    return int(bad.nonzero()[0]) if bool(bad.any()) else -1
+
+
+def _cuda_team(device, systems, nodes):
+    """Blocks per system, threads per block and lanes per particle that fill the chip with all blocks resident."""
+    chip = torch.cuda.get_device_properties(device).multi_processor_count
+    if systems >= chip // 2:
+        return 1, 1024 if nodes > 512 else 512, 4
+    threads, lanes = 256, 8
+    blocks = int(np.clip(np.ceil(nodes * lanes / threads), 1, max(1, chip // systems)))
+    return blocks, threads, lanes
