@@ -11,9 +11,9 @@ from ..datasets.scenario import Split
 __all__ = ["TASKS", "Evaluation", "Fit", "frames", "plan"]
 
 TASKS = {
-    "resimulation": "the train frames of the recording that the twin was fitted on, after frame 0",
-    "prediction": "the test frames of the same recording, in the same roll-out from frame 0",
-    "transfer": "all frames after frame 0 of another recording of the same object",
+    "resimulation": "the train frames after frame 0",
+    "prediction": "the test frames, in the same roll-out from frame 0",
+    "transfer": "another recording of the same object, after frame 0",
 }
 
 

@@ -114,7 +114,7 @@ def _cells(block: Block, line: Line, results: Results) -> list[tuple[str, bool]]
             continue
         text = f"{mean * 1e3:.2f}" if results.units[metric] == "m" else f"{mean:.3f}"
         if line.published:
-            text = text.rstrip("0").rstrip(".")  # never more digits than were published
+            text = text.rstrip("0").rstrip(".").ljust(len(text))  # never more digits than were published, the point in its place
         elif count < line.scored:
             text += f" (n={count})"
         cells.append((text, line.method in block.best(metric, results.directions[metric])))
@@ -127,22 +127,33 @@ def _caption(block: Block) -> str:
 
 
 def terminal(results: Results) -> str:
-    """The tables as aligned text; the best of a column carries an asterisk."""
+    """The tables as aligned text, names of columns stacked word by word; the best of a column carries an asterisk."""
     parts = []
     for block in blocks(results):
-        table = [[name + " " for name in _header(block, dict(results.units))]]
-        table += [[text + ("*" if best else " ") for text, best in _cells(block, line, results)] for line in block.lines]
-        widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
-        text = ["  ".join(c.ljust(w) if i == 0 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))) for row in table]
-        rule = "-" * max(len(line.rstrip()) for line in text)
-        parts.append("\n".join([_caption(block), rule, text[0].rstrip(), rule, *(line.rstrip() for line in text[1:]), rule]))
+        names = [name.replace("_", "_ ").split() for name in _header(block, dict(results.units))]
+        height = max(len(words) for words in names)
+        head = [[f"{word} " for word in row] for row in zip(*([""] * (height - len(words)) + words for words in names), strict=True)]
+        body = [[_aligned(text, best) for text, best in _cells(block, line, results)] for line in block.lines]
+        widths = [max(len(cell) for cell in column) for column in zip(*head, *body, strict=True)]
+        head, body = ([_joined(row, widths) for row in rows] for rows in (head, body))
+        rule = "-" * max(len(line) for line in (*head, *body))
+        parts.append("\n".join([_caption(block), rule, *head, rule, *body, rule]))
     return "\n\n".join([*parts, "\n".join([_legend(results), *notes(results)])])
+
+
+def _aligned(text: str, best: bool) -> str:
+    return text + ("*" if best else " ")
+
+
+def _joined(cells: Sequence[str], widths: Sequence[int]) -> str:
+    first, *others = (cell.rjust(width) for cell, width in zip(cells, widths, strict=True))
+    return "  ".join([cells[0].ljust(len(first)), *others]).rstrip()
 
 
 def _legend(results: Results) -> str:
     higher = [metric for metric, direction in results.directions.items() if direction == "higher"]
     better = "Lower is better" + (f", except {', '.join(higher)}" if higher else "")
-    return f"Means over n rows (recordings x seeds). {better}; the best method is marked if none was scored more often."
+    return f"Means over n rows (recordings x seeds). {better}; marked: the best of the methods with most rows."
 
 
 def markdown(results: Results) -> str:
@@ -150,7 +161,7 @@ def markdown(results: Results) -> str:
     parts = []
     for block in blocks(results):
         header = _header(block, dict(results.units))
-        rows = [[f"**{text}**" if best else text for text, best in _cells(block, line, results)] for line in block.lines]
+        rows = [[f"**{text}**" if best else text.strip() for text, best in _cells(block, line, results)] for line in block.lines]
         rule = ["---", *["---:"] * (len(header) - 1)]
         parts.append("\n".join([f"**{_caption(block)}**", "", *("| " + " | ".join(row) + " |" for row in [header, rule, *rows])]))
     return "\n\n".join([*parts, _legend(results), *(f"- {note}" for note in notes(results))]) + "\n"
@@ -162,7 +173,7 @@ def latex(results: Results) -> str:
     for block in blocks(results):
         header = [_escape(name) for name in _header(block, dict(results.units))]
         rows = [
-            [f"\\textbf{{{_escape(text)}}}" if best else _escape(text) for text, best in _cells(block, line, results)]
+            [f"\\textbf{{{_escape(text)}}}" if best else _escape(text.strip()) for text, best in _cells(block, line, results)]
             for line in block.lines
         ]
         lines = [" & ".join(row) + r" \\" for row in rows]

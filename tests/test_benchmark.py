@@ -496,7 +496,7 @@ def table(*rows, published=None):
 
 
 MARKDOWN = """\
-**made, prediction: the test frames of the same recording, in the same roll-out from frame 0**
+**made, prediction: the test frames, in the same roll-out from frame 0**
 
 | method | chamfer [mm] | iou | n | fit [s] |
 | --- | ---: | ---: | ---: | ---: |
@@ -504,7 +504,7 @@ MARKDOWN = """\
 | twin | **25.00** | **0.750** | 2 | 3.0 |
 | PhysTwin (published) | 12 | - |  |  |
 
-Means over n rows (recordings x seeds). Lower is better, except iou; the best method is marked if none was scored more often.
+Means over n rows (recordings x seeds). Lower is better, except iou; marked: the best of the methods with most rows.
 """
 
 
@@ -546,13 +546,15 @@ def test_a_mean_over_fewer_rows_says_so():
     assert "20.00 (n=1)" in markdown(results)
 
 
-def test_columns_of_the_terminal_table_are_aligned():
-    lines = terminal(table(row("a_long_name", "transfer", 0.2), row("b", "transfer", 0.03))).splitlines()
-    ends = {len(line.split(" fit [s]")[0]) for line in lines if "fit [s]" in line}
-    assert len(ends) == 1
-    header, first, second = lines[2], lines[4], lines[5]
-    right = header.index("chamfer [mm]") + len("chamfer [mm]")
-    assert first[:right].endswith("200.00") and second[: right + 1].endswith("30.00*")
+def test_the_terminal_table_is_aligned():
+    results = table(row("a_long_name", "transfer", 0.2), row("b", "transfer", 0.03))
+    caption, rule, *head, rule_again, first, second, last = terminal(results).splitlines()[:8]
+    assert caption == "made, transfer: another recording of the same object, after frame 0"
+    assert [line.split() for line in head] == [["chamfer", "fit"], ["method", "[mm]", "iou", "n", "[s]"]]
+    assert first.split() == ["a_long_name", "200.00", "-1.000", "1", "2.0"] and second.split() == ["b", "30.00*", "0.700*", "1", "2.0"]
+    for word, value in {"[mm]": "30.00", "iou": "0.700", "n": "1", "[s]": "2.0"}.items():
+        assert head[1].index(word) + len(word) == second.rindex(value) + len(value)  # columns end together
+    assert len(set((rule, rule_again, last))) == 1 and len(rule) == max(map(len, (*head, first, second)))
 
 
 def test_latex_escapes_names():

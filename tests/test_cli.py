@@ -51,7 +51,7 @@ def run(*options):
 def test_run_prints_and_writes_the_table(cases, capsys):
     assert run("--data", cases) == 0
     out, err = capsys.readouterr()
-    for text in ("thing, resimulation", "thing, prediction", "thing, transfer", "static", "rigid", "chamfer [mm]", "track_error [mm]"):
+    for text in ("thing, resimulation", "thing, prediction", "thing, transfer", "static", "rigid", "chamfer_", "[mm]"):
         assert text in out
     assert err == ""  # the progress bar keeps quiet without a terminal
     folder = Path("results/thing")
