@@ -9,6 +9,7 @@ Beam frame (the authors'): along x from the clamp at -0.1 to the tip at 0, y acr
 from __future__ import annotations
 
 import re
+import struct
 from functools import partial
 from pathlib import Path
 
@@ -41,6 +42,7 @@ def read_c3d(file: Path) -> tuple[np.ndarray, float]:
         import ezc3d
     except ImportError as error:
         raise ImportError("reading .c3d files needs the package ezc3d: pip install ezc3d") from error
+    _check_whole(file)
     try:
         content = ezc3d.c3d(str(file))
         points, about = content["data"]["points"], content["parameters"]["POINT"]
@@ -56,6 +58,23 @@ def read_c3d(file: Path) -> tuple[np.ndarray, float]:
         raise ValueError(f"{file}: positions must be in m or mm, got units {units}")
     markers = scale * points[:3, [labels.index(name) for name in TIP + BASE]].transpose(2, 1, 0)
     return markers, rate
+
+
+def _check_whole(file: Path) -> None:
+    """Whether the file is as long as its header says (C3D specification: blocks of 512 bytes); ezc3d crashes on cut files."""
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{file}: cannot be read ({error.strerror or error})") from error
+    if len(data) < 1024 or data[1] != 0x50:
+        raise ValueError(f"{file}: not a readable c3d file (its header is missing)")
+    if data[512 * (data[0] - 1) + 3 : 512 * (data[0] - 1) + 4] != b"T":  # 84: little endian, like all files since the 1990s
+        raise ValueError(f"{file}: not a readable c3d file (its parameters are missing or of an unusual byte order)")
+    points, analog, first, last, _, scale, start = struct.unpack("<5HfH", data[2:18])
+    frames, size = last - first + 1, 4 if scale < 0 else 2
+    needed = 512 * (start - 1) + size * frames * (4 * points + analog)
+    if frames < 1 or len(data) < needed:
+        raise ValueError(f"{file}: not a readable c3d file ({frames} frames need {needed} bytes, it has {len(data)})")
 
 
 def release_frame(tip: np.ndarray) -> int:

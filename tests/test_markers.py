@@ -53,6 +53,15 @@ def test_particles_follow_a_circle():
     assert error.max() < 1 / 8 * h**2 / radius  # a straight chord's error: the spline is better even at its ends
 
 
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(-2, 2))
+def test_particles_are_the_same_material_in_every_shape(seed, weight):
+    """At fixed parameters a spline is linear in its points: p(a + w b) = p(a) + w p(b). Parameters taken from the shape would not be."""
+    a, b = np.random.default_rng(seed).uniform(-1, 1, (2, 5, 3))
+    tee = cable([0.1, 0.03, 0.05, 0.07], paths=((0, 1, 2), (1, 3, 4)))
+    np.testing.assert_allclose(tee.between(a + weight * b), tee.between(a) + weight * tee.between(b), atol=1e-12)
+
+
 def test_branches_start_at_their_joint():
     """A T of straight cables: the branch's particles lie on the line from the joint, none of them at a marker."""
     markers = np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.1, 0.05, 0], [0.1, 0.1, 0]])

@@ -100,7 +100,7 @@ def damaged(markers, value, frame, marker):
 
 
 DAMAGE = {
-    "truncated": (lambda f: f.write_bytes(f.read_bytes()[:3000]), "not a readable c3d|every marker must be seen"),
+    "truncated": (lambda f: f.write_bytes(f.read_bytes()[:3000]), "not a readable c3d"),
     "empty": (lambda f: f.write_bytes(b""), "not a readable c3d"),
     "garbage": (lambda f: f.write_bytes(bytes(range(256)) * 40), "not a readable c3d"),
     "labels": (lambda f: write(f, swinging(), labels=[*LABELS[:5], "Arm"]), "Base3 is missing"),
@@ -120,6 +120,19 @@ def test_damaged_files_are_named(tmp_path, kind):
     damage(file)
     with pytest.raises(ValueError, match=f"(?s){re.escape(str(file))}: .*({message})"):
         open_collection(tmp_path).load("beam_gravity_a")
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_no_cut_file_is_read(tmp_path_factory, data):
+    """Whatever part of a file is there, ezc3d (which can crash on it) never sees it: 6 markers x 4 floats x 200 frames are needed."""
+    file = tmp_path_factory.mktemp("cut") / "a.c3d"
+    write(file, swinging())
+    whole = file.read_bytes()
+    padding = 511  # a file is filled up to whole blocks
+    file.write_bytes(whole[: data.draw(st.integers(0, len(whole) - padding - 1))])
+    with pytest.raises(ValueError, match=r"a\.c3d: not a readable c3d file"):
+        read_c3d(file)
 
 
 @pytest.mark.parametrize(
