@@ -100,6 +100,7 @@ def _check_frames(report, name, suffix, frames, size):
             report.error(name, f"{len(missing)} of {frames} frames are missing: {_ranges(missing)}")
         if len(extra := [t for t in sorted(found) if t >= frames]):
             report.warning(name, f"frames after the last one, {frames - 1}: {_ranges(extra)}")
+        found = {t: f for t, f in found.items() if t < frames}
     broken, sizes = {}, {}
     for t, file in sorted(found.items()):
         try:

@@ -15,7 +15,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-
 from twinbench.datasets.catalogue import CASES, PAIRS, PUBLISHED, self_collides
 from twinbench.datasets.collection import layouts, open_collection
 from twinbench.datasets.phystwin import read_case, write_case
@@ -223,7 +222,7 @@ def test_cleaned_masks_serve_where_only_they_are_there_and_give_no_more_frames(t
     (folder / "mask" / "processed_masks.pkl").write_bytes(pickle.dumps(processed))
     whole = read_case(folder).images
     assert np.array_equal(whole.mask(1, 3), masks[3, 1])
-    with pytest.raises(ValueError, match="processed_masks.pkl: no frame 0 of camera 7"):
+    with pytest.raises(ValueError, match=r"processed_masks.pkl: no frame 0 of camera 7"):
         whole.mask(7, 0)
     seen = whole.until(3)
     assert np.array_equal(seen.mask(1, 2), masks[2, 1])

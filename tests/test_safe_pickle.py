@@ -120,7 +120,7 @@ def test_anything_else_is_refused_and_not_run(tmp_path, name, protocol):
     flag = tmp_path / "ran"
     file = tmp_path / "final_data.pkl"
     file.write_bytes(pickle.dumps(_attacks(flag)[name], protocol))
-    with pytest.raises(ValueError, match="final_data.pkl: refused") as caught:
+    with pytest.raises(ValueError, match=r"final_data.pkl: refused") as caught:
         safe_pickle.load(file)
     assert not flag.exists()
     assert "\n" not in str(caught.value)
@@ -180,7 +180,7 @@ HAND_MADE = {
 def test_hand_made_pickles_end_in_one_clear_error(tmp_path, name):
     file = tmp_path / "calibrate.pkl"
     file.write_bytes(HAND_MADE[name])
-    with pytest.raises(ValueError, match="calibrate.pkl: (refused|not a complete pickle)") as caught:
+    with pytest.raises(ValueError, match=r"calibrate.pkl: (refused|not a complete pickle)") as caught:
         safe_pickle.load(file)
     assert len(str(caught.value)) < 500
 
@@ -188,7 +188,7 @@ def test_hand_made_pickles_end_in_one_clear_error(tmp_path, name):
 def test_a_refused_pickle_leaves_nothing_behind_for_the_next(tmp_path):
     (tmp_path / "bad.pkl").write_bytes(HAND_MADE["attribute set on a function"])
     (tmp_path / "good.pkl").write_bytes(pickle.dumps(np.arange(3)))
-    with pytest.raises(ValueError, match="bad.pkl"):
+    with pytest.raises(ValueError, match=r"bad.pkl"):
         safe_pickle.load(tmp_path / "bad.pkl")
     assert safe_pickle.load(tmp_path / "good.pkl").tolist() == [0, 1, 2]
 
@@ -199,7 +199,7 @@ def test_a_truncated_pickle_is_never_half_read(tmp_path, protocol):
     file = tmp_path / "final_data.pkl"
     for length in range(len(whole)):
         file.write_bytes(whole[:length])
-        with pytest.raises(ValueError, match="final_data.pkl"):
+        with pytest.raises(ValueError, match=r"final_data.pkl"):
             safe_pickle.load(file)
 
 
