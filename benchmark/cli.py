@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ class Run:
     """Fit twins, roll them out, score them, and print the table.
 
     Fitted twins and scored rows are kept in .cache/twinbench (or $TWINBENCH_CACHE): a killed run goes on where it stopped and a
-    repeated run is instant.
+    repeated run is instant. A method that fails or diverges on a recording is said below the table; the exit code is 1 if any failed.
     """
 
     data: Annotated[tuple[str, ...], arg(metavar="PATH ...")] = ("sample",)
@@ -225,12 +226,12 @@ class _Bar:
     def __enter__(self):
         from tqdm import tqdm
 
-        shape = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+        shape = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
         self._bar = tqdm(total=1.0, disable=None, leave=False, bar_format=shape, desc=self._title, dynamic_ncols=True)
         return self
 
     def __call__(self, label: str, fraction: float) -> None:
-        self._bar.set_description(f"{self._title}: {label}", refresh=False)
+        self._bar.set_description_str(f"{self._title}: {label}", refresh=False)
         self._bar.update(max(fraction - self._done, 0.0))
         self._bar.refresh()
         self._done = max(fraction, self._done)
@@ -271,6 +272,9 @@ def main(arguments: list[str] | None = None) -> int:
             commands, prog="twinbench", description="Benchmark of physical digital twins of deformable objects.", args=arguments
         )
         return command()
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (ValueError, OSError) as error:
         print(f"twinbench: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

@@ -6,6 +6,8 @@ answer.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache as once
 from functools import partial
@@ -30,11 +32,23 @@ class Opened:
 
 
 def listing(folder: Path) -> str:
-    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``."""
+    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``, hidden ones left out."""
     folder = Path(folder).resolve()
-    files = sorted(folder.rglob("*")) if folder.is_dir() else [folder]
-    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in files if file.is_file()]
+    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in sorted(_files(folder))]
     return digest(str(folder), seen)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    if folder.is_file():
+        yield folder
+    visited = set()
+    for root, folders, names in os.walk(folder, followlinks=True):
+        if (real := os.path.realpath(root)) in visited:  # a link back up
+            folders.clear()
+            continue
+        visited.add(real)
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (file for name in names if not name.startswith(".") and (file := Path(root) / name).is_file())
 
 
 def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:

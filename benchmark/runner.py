@@ -80,6 +80,7 @@ class Runner:
         Raises OSError where the cache cannot be written, ValueError where a recording cannot be read or the device is not there.
         """
         names = [name for fit in fits for name in (*fit.sources, *(evaluation.target for evaluation in fit.evaluations))]
+        progress("reading", 0.0)
         self._checksums.learn(names, self._load)  # so that a recording that cannot be read is known before hours of work
         rows = []
         for i, fit in enumerate(fits):
@@ -115,6 +116,7 @@ class Runner:
             yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)
             return
         for target in dict.fromkeys(evaluation.target for evaluation in evaluations):
+            report(f"scoring {target}", 1.0)
             wanted = [evaluation for evaluation in evaluations if evaluation.target == target]
             yield from self._evaluate(method, twin, about, wanted, self._load(target))
 

@@ -1,6 +1,7 @@
 """The command line: what it prints, what it writes, and one clear line for wrong input."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -165,3 +166,10 @@ def test_a_repeated_run_imports_no_engine_and_does_not_read_the_recordings(cases
 def test_help_is_light(tmp_path):
     source = "import sys\nimport twinbench.benchmark.cli\nprint({'torch', 'warp', 'pandas', 'scipy'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", source], capture_output=True, text=True, check=True).stdout == "set()\n"
+
+
+def test_a_reader_who_has_seen_enough_is_no_error(cases):
+    source = "import sys\nfrom twinbench.benchmark.cli import main\nsys.exit(main(['list', '--data', sys.argv[1]]))"
+    command = f'{sys.executable} -u -c "$SOURCE" {cases} | head -n 1; exit ${{PIPESTATUS[0]}}'
+    done = subprocess.run(["bash", "-c", command], env={**os.environ, "SOURCE": source}, capture_output=True, text=True)
+    assert (done.stdout, done.stderr, done.returncode) == ("methods:\n", "", 0)
