@@ -114,11 +114,13 @@ def test_sessions_are_the_unbroken_stretches(seed, blocks):
     assert sessions(records) == [f"take{cut[i][0]}_0" for i in order]
 
 
-def test_a_cut_out_second_separates_blocks():
-    whole = take(np.random.default_rng(1), 180)
-    records = [recording(whole[:50], "train/1"), recording(whole[150:], "train/2")]
-    assert np.sqrt(np.square(whole[150] - whole[49]).sum(-1).mean()) > JOIN
-    assert sessions(records) == ["1", "2"]
+@pytest.mark.parametrize("lost", [2, 100])
+def test_cut_out_frames_separate_blocks(lost):
+    """A second, or 2 frames of 10 ms in which the markers move by about 16 mm: between two and three times the tolerance."""
+    whole = take(np.random.default_rng(1), 100 + lost)
+    moved = np.sqrt(np.square(whole[50 + lost] - whole[50]).sum(-1).mean())
+    assert moved > 2 * JOIN and (lost == 100 or moved < 3 * JOIN)
+    assert sessions([recording(whole[:50], "train/1"), recording(whole[50 + lost :], "train/2")]) == ["1", "2"]
 
 
 def test_sessions_survive_lost_markers():
