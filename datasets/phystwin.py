@@ -57,7 +57,7 @@ def read_case(folder: str | Path) -> Scenario:
             name=folder.name,
             **values,
             split=split,
-            fps=float(metadata.get("fps", 30.0)),
+            fps=_fps(metadata),
             cameras=_read_cameras(folder, metadata),
             images=CaseImages(folder, length) if any((folder / kind).is_dir() for kind in ("color", "depth", "mask")) else None,
             tracks=safe_pickle.load(tracks) if tracks.exists() else None,
@@ -133,6 +133,13 @@ def read_extra(folder: Path) -> dict:
     return extra
 
 
+def _fps(metadata):
+    fps = metadata.get("fps", 30.0)
+    if type(fps) not in (int, float) or not 0 < fps < float("inf"):
+        raise ValueError(f"metadata.json: fps must be a number > 0, got {fps!r}")
+    return float(fps)
+
+
 def _read_cameras(folder, metadata):
     file = folder / "calibrate.pkl"
     if not file.exists() or not metadata.get("intrinsics"):
@@ -163,9 +170,9 @@ def write_case(
     temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".partial", dir=folder.parent))
     try:
         _write_scenario(temporary, folder.name, scenario)
-        size = (scenario.cameras[0].width, scenario.cameras[0].height) if scenario.cameras else None
         label = CASES[folder.name].category if folder.name in CASES else "object"
-        write_images(temporary, scenario.frame_count, color=color, depth=depth, masks=masks, hand_masks=hand_masks, label=label, size=size)
+        pictures = {"color": color, "depth": depth, "masks": masks, "hand_masks": hand_masks}
+        write_images(temporary, scenario.frame_count, **pictures, label=label, cameras=scenario.cameras)
         temporary.chmod(0o755)  # mkdtemp makes it private
         if folder.exists() and any(folder.iterdir()):
             _exchange(temporary, folder)

@@ -112,46 +112,52 @@ def read_json(file: Path) -> dict:
     return value
 
 
-def write_images(folder: Path, frame_count: int, *, color=None, depth=None, masks=None, hand_masks=None, label="object", size=None):
+def write_images(folder: Path, frame_count: int, *, color=None, depth=None, masks=None, hand_masks=None, label="object", cameras=()):
     """Write image sequences (camera -> frame -> array) into ``folder`` as the published layout does.
 
     color (H, W, 3) uint8 RGB; depth (H, W) float metres, not finite or 0 where invalid; masks and hand_masks (H, W) bool.
-    ``size`` (width, height), where given, is what every image must have. Raises ValueError naming camera and frame.
+    ``label`` is what the object is called; where ``cameras`` are given, their number and image size must be met.
+    Raises ValueError naming camera and frame.
     """
     ids = {"hand": "0", "object": "1"} if hand_masks is not None else {"object": "0"}
-    cameras = set()
-    for camera, t, image in _each("color", color, frame_count, size):
+    masked = set()
+    for camera, t, image in _each("color", color, frame_count, cameras):
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
             raise ValueError(f"color of camera {camera}, frame {t} must be (H, W, 3) uint8, got {image.shape} {image.dtype}")
         _write_png(folder / "color" / str(camera) / f"{t}.png", image[..., ::-1])
-    for camera, t, image in _each("depth", depth, frame_count, size):
+    for camera, t, image in _each("depth", depth, frame_count, cameras):
         file = folder / "depth" / str(camera) / f"{t}.npy"
         file.parent.mkdir(parents=True, exist_ok=True)
         np.save(file, _millimetres(image, f"depth of camera {camera}, frame {t}"))
     for kind, sequences in (("object", masks), ("hand", hand_masks)):
-        for camera, t, image in _each(f"{kind} mask", sequences, frame_count, size):
+        for camera, t, image in _each(f"{kind} mask", sequences, frame_count, cameras):
             if image.ndim != 2 or image.dtype != bool:
                 raise ValueError(f"{kind} mask of camera {camera}, frame {t} must be (H, W) bool, got {image.shape} {image.dtype}")
-            cameras.add(camera)
+            masked.add(camera)
             _write_png(folder / "mask" / str(camera) / ids[kind] / f"{t}.png", image.astype(np.uint8) * 255)
     labels = {i: HAND if kind == "hand" else label for kind, i in ids.items() if kind == "hand" or masks is not None}
-    for camera in cameras:
+    for camera in masked:
         (folder / "mask" / f"mask_info_{camera}.json").write_text(json.dumps(labels), encoding="utf-8")
 
 
-def _each(name, sequences, frame_count, size):
-    """(camera, frame, array) of every image; every camera must give ``frame_count`` images of one size."""
-    for camera, frames in enumerate(sequences if sequences is not None else ()):
-        count = 0
+def _each(name, sequences, frame_count, cameras):
+    """(camera, frame, array) of every image; every camera must give ``frame_count`` images, all of one size."""
+    if sequences is None:
+        return
+    size, views = ((cameras[0].width, cameras[0].height) if cameras else None), 0
+    for camera, frames in enumerate(sequences):
+        views, count = views + 1, 0
         for image in frames:
             image = np.asarray(image)
             size = size or image.shape[1::-1]
-            if image.shape[1::-1] != tuple(size):
-                raise ValueError(f"{name} of camera {camera}, frame {count} must be {size[0]} x {size[1]} pixels, got {image.shape[1::-1]}")
+            if image.shape[1::-1] != size:
+                raise ValueError(f"{name} of camera {camera}, frame {count} must be {size} (width, height), got {image.shape[1::-1]}")
             yield camera, count, image
             count += 1
         if count != frame_count:
             raise ValueError(f"{name} of camera {camera} must have {frame_count} frames, got {count}")
+    if cameras and views != len(cameras):
+        raise ValueError(f"{name} must be given for all {len(cameras)} cameras, got {views}")
 
 
 def _millimetres(depth, where):

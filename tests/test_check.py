@@ -230,7 +230,7 @@ def test_each_fault_is_found_in_its_file(tmp_path, name):
 
 
 # readers have no need to refuse these, but a score or a fit made with them would be wrong
-TOLERATED = {"far hands", "confidences", "transposed", "scaled", "mirrored", "one too many", "tracks inf", "fps"}
+TOLERATED = {"far hands", "confidences", "transposed", "scaled", "mirrored", "one too many", "tracks inf"}
 
 
 def test_all_faults_are_reported_at_once(tmp_path):

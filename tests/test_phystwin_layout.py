@@ -292,7 +292,10 @@ def test_a_case_is_read_without_opencv(tmp_path):
     [
         ({"color": np.zeros((1, 3, 6, 8, 3), np.uint8)}, "color of camera 0 must have 4 frames, got 3"),
         ({"color": np.zeros((1, 4, 6, 8, 3))}, "must be .* uint8"),
-        ({"color": [[np.zeros((6, 8, 3), np.uint8)] * 3 + [np.zeros((5, 8, 3), np.uint8)]]}, "frame 3 must be 8 x 6 pixels"),
+        (
+            {"color": [[np.zeros((6, 8, 3), np.uint8)] * 3 + [np.zeros((5, 8, 3), np.uint8)]]},
+            r"frame 3 must be \(8, 6\) \(width, height\), got \(8, 5\)",
+        ),
         ({"depth": np.full((1, 4, 6, 8), 500)}, "float metres"),
         ({"depth": np.full((1, 4, 6, 8), 70.0)}, r"must lie in \[0, 65.535\] m"),
         ({"depth": np.full((1, 4, 6, 8), -1.0)}, r"must lie in \[0, 65.535\] m"),
@@ -433,7 +436,7 @@ BAD = {
     "fractional": (_json("split.json", train=[0, 2.8], test=[2.8, 4]), "split.json: frame numbers must be integers"),
     "one camera too many": (_json("metadata.json", intrinsics=[np.eye(3).tolist()] * 2), "calibrate.pkl must hold one"),
     "no size": (_json("metadata.json", WH=8), "metadata.json: WH must be"),
-    "bad fps": (_json("metadata.json", fps=0), "fps must be > 0"),
+    "bad fps": (_json("metadata.json", fps=0), r"metadata.json: fps must be a number > 0, got 0"),
     "unknown key": (_json("scenario.json", gravitation=[0, 0, 1]), r"scenario.json: unknown key 'gravitation'; did you mean 'gravity'\?"),
     "bad ground": (_json("scenario.json", ground={"normal": [0, 0, 2], "offset": 0}), "scenario.json: ground must be .* unit vector"),
     "bad grips": (_json("scenario.json", grips=[0, 12]), "grips must be -1 or the index of one of the 12 points"),
@@ -452,6 +455,15 @@ def test_bad_files_give_one_error_that_names_them(tmp_path, name):
     with pytest.raises(ValueError, match=message) as caught:
         read_case(folder)
     assert str(tmp_path) in str(caught.value)
+
+
+def test_images_fit_the_cameras(tmp_path):
+    camera = Camera(np.eye(3), np.eye(4), WIDTH, HEIGHT)
+    with pytest.raises(ValueError, match="color must be given for all 3 cameras, got 2"):
+        write_case(tmp_path / "case", small(cameras=(camera,) * 3), color=images()["color"])
+    with pytest.raises(ValueError, match=r"frame 0 must be \(4, 6\)"):
+        write_case(tmp_path / "case", small(cameras=(replace(camera, width=4),) * 2), color=images()["color"])
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_cameras_of_a_case_have_one_size(tmp_path):
