@@ -48,6 +48,7 @@ class Run:
         from .cache import Cache, default_cache
         from .opening import open_recordings
         from .plan import TASKS, plan
+        from .progress import Bar
         from .results import Results, write_results
         from .runner import Runner, Settings
         from .table import terminal
@@ -69,7 +70,7 @@ class Run:
             raise ValueError(f"nothing to do: no task of {', '.join(self.tasks)} is scored on the chosen recordings")
         rows = []
         for runner, fits in work:
-            with _Bar(runner.collection.name) as bar:
+            with Bar(runner.collection.name) as bar:
                 rows += runner.run(fits, progress=bar)
         results = Results.of(rows, metrics, [found.collection for found in opened])
         folder = self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for runner, _ in work))
@@ -134,11 +135,12 @@ class Download:
 
     def __call__(self) -> int:
         from ..datasets.download import BASE_URL, download, plan
+        from .progress import Bytes
 
         url = self.url or BASE_URL
         if self.yes:
             print(plan(self.archives, self.out, base_url=url))
-        with _Bytes() as bar:
+        with Bytes() as bar:
             done = download(self.archives, self.out, base_url=url, progress=bar, yes=self.yes)
         print(f"{', '.join(archive.name for archive in done.archives)} in {done.out}")
         return 0
@@ -215,50 +217,6 @@ def _metrics() -> dict:
     from ..metrics.base import metrics
 
     return metrics()
-
-
-class _Bar:
-    """A progress bar on standard error; nothing where that is no terminal."""
-
-    def __init__(self, title: str):
-        self._title, self._bar, self._done = title, None, 0.0
-
-    def __enter__(self):
-        from tqdm import tqdm
-
-        shape = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
-        self._bar = tqdm(total=1.0, disable=None, leave=False, bar_format=shape, desc=self._title, dynamic_ncols=True)
-        return self
-
-    def __call__(self, label: str, fraction: float) -> None:
-        self._bar.set_description_str(f"{self._title}: {label}", refresh=False)
-        self._bar.update(max(fraction - self._done, 0.0))
-        self._bar.refresh()
-        self._done = max(fraction, self._done)
-
-    def __exit__(self, *_):
-        self._bar.close()
-
-
-class _Bytes:
-    """A progress bar for each file being fetched; nothing where standard error is no terminal."""
-
-    def __init__(self):
-        self._bars: dict = {}
-
-    def __enter__(self):
-        return self
-
-    def __call__(self, name: str, here: int, size: int | None) -> None:
-        from tqdm import tqdm
-
-        if name not in self._bars:
-            self._bars[name] = tqdm(total=size, disable=None, desc=name, unit="B", unit_scale=True, initial=here)
-        self._bars[name].update(here - self._bars[name].n)
-
-    def __exit__(self, *_):
-        for bar in self._bars.values():
-            bar.close()
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from weakref import WeakValueDictionary
 
 import numpy as np
 
 from ..datasets.scenario import Scenario
-from ..methods.base import Budget, Diverged, Method, Trajectory, Twin
+from ..methods.base import Budget, Method, Trajectory, Twin
 from ..metrics.base import Metric, score
 from .cache import Cache, digest
 from .checksum import Checksums, code, method_code
 from .opening import Opened
 from .plan import Evaluation, Fit, frames
 from .provenance import device_name, peak_memory, provenance, reset_peak_memory
+from .status import Stopped, as_status
 
 __all__ = ["Runner", "Settings"]
 
@@ -35,28 +33,6 @@ class Settings:
     metrics: Mapping[str, Metric]
     preset: str = "quick"
     device: str = "cpu"
-
-
-class _Stopped(Exception):
-    """Ends the work on some rows early; ``row`` says how."""
-
-    def __init__(self, **row):
-        super().__init__(row["status"])
-        self.row = row
-
-
-@contextmanager
-def _as_status() -> Iterator[None]:
-    """Turn what a method raises into the status of its rows."""
-    try:
-        yield
-    except _Stopped:
-        raise
-    except Diverged as error:
-        raise _Stopped(status="diverged", reason=str(error), diverged_frame=int(error.frame)) from error
-    except Exception as error:  # a method may fail in any way, and the other methods' rows must still come
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        raise _Stopped(status="failed", reason=f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})") from error
 
 
 class Runner:
@@ -112,7 +88,7 @@ class Runner:
             method = self._method(fit.method)
             self._refuse(method, self._held)
             twin, about = self._twin(method, fit, fit_key, report)
-        except _Stopped as stopped:
+        except Stopped as stopped:
             yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)
             return
         for target in dict.fromkeys(evaluation.target for evaluation in evaluations):
@@ -121,14 +97,14 @@ class Runner:
             yield from self._evaluate(method, twin, about, wanted, self._load(target))
 
     def _method(self, name: str) -> Method:
-        with _as_status():
+        with as_status():
             return self.settings.methods[name]()
 
     def _refuse(self, method: Method, scenarios: list[Scenario]) -> None:
         for scenario in scenarios:
-            with _as_status():
+            with as_status():
                 if reason := method.skip(scenario):
-                    raise _Stopped(status="skipped", reason=reason)
+                    raise Stopped(status="skipped", reason=reason)
 
     def _twin(self, method: Method, fit: Fit, key: str, report: Progress) -> tuple[Twin, dict]:
         """The fitted twin as the cache holds it, so that a resumed run and an uninterrupted one score the same."""
@@ -139,7 +115,7 @@ class Runner:
         if stored is None:
             raise OSError(f"the twin just written to {self.cache.root} cannot be read back")
         folder, about = stored
-        with _as_status():
+        with as_status():
             twin_class = import_module(about["module"])
             for name in about["class"].split("."):
                 twin_class = getattr(twin_class, name)
@@ -150,7 +126,7 @@ class Runner:
         settings = self.settings
         reset_peak_memory()
         start = time.perf_counter()
-        with _as_status():
+        with as_status():
             twin = method.fit(observed, budget=Budget(settings.preset), seed=fit.seed, device=settings.device, progress=report)
         about = {"fit_seconds": time.perf_counter() - start, **peak_memory()}
         about |= {"module": type(twin).__module__, "class": type(twin).__qualname__}
@@ -159,7 +135,7 @@ class Runner:
         except OSError:
             raise
         except Exception:
-            with _as_status():
+            with as_status():
                 raise
 
     def _evaluate(
@@ -175,7 +151,7 @@ class Runner:
                 if transfer:
                     self._refuse(method, [target])
                 trajectory, about = self._roll_out(twin, about, target, transfer)
-            except _Stopped as stopped:
+            except Stopped as stopped:
                 yield from ((evaluation, self._row(stopped.row, about)) for evaluation in wanted)
                 continue
             for evaluation in wanted:
@@ -184,7 +160,7 @@ class Runner:
     def _roll_out(self, twin: Twin, about: dict, target: Scenario, transfer: bool) -> tuple[Trajectory, dict]:
         reset_peak_memory()
         start = time.perf_counter()
-        with _as_status():
+        with as_status():
             placed = twin.retarget(target.initial()) if transfer else twin
             trajectory = placed.rollout(target.controllers)
             if len(trajectory.positions) != target.frame_count:
@@ -201,11 +177,11 @@ class Runner:
             return {"status": "diverged", "reason": "positions are not finite", "diverged_frame": int(lost[0])}
         row: dict = {"status": "ok", "frames": len(wanted)}
         try:
-            with _as_status():
+            with as_status():
                 for name, metric in self.settings.metrics.items():
                     result = score(metric, trajectory, target, wanted)
                     row |= {name: result.mean, f"{name}_unscorable": result.unscorable}
-        except _Stopped as stopped:
+        except Stopped as stopped:
             return stopped.row
         return row
 

@@ -126,6 +126,15 @@ def test_a_recording_that_cannot_be_read_is_one_line(cases, tmp_path, capsys):
     assert "final_data.pkl" in err and err.count("\n") == 1
 
 
+def test_a_device_that_is_not_there_is_one_line(cases, capsys):
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device")
+    assert run("--data", cases, "--device", "cuda") == 2
+    err = capsys.readouterr().err
+    assert "device 'cuda' is not there" in err and "--device cpu" in err and err.count("\n") == 1
+
+
 def test_check_tells_by_its_exit_code(cases, tmp_path, capsys):
     main(["check", str(cases / "lift_once")])
     assert " error" not in capsys.readouterr().out
