@@ -104,19 +104,21 @@ class Table:
 class Check:
     """Say what is missing or wrong in a recording of the published layout, file by file."""
 
-    case: Annotated[Positional[Path], arg(metavar="CASE")]
-    """Folder of one recording."""
+    case: Annotated[Positional[str], arg(metavar="CASE")]
+    """Folder of one recording, or of several; or "sample"."""
 
     def __call__(self) -> int:
         from ..datasets.check import check
+        from .opening import folder_of
 
-        if not self.case.exists():
-            raise ValueError(f"no recording at {self.case}: no such folder")
-        findings = check(self.case)
+        folder = folder_of(self.case)
+        if not folder.exists():
+            raise ValueError(f"no recording at {folder}: no such folder")
+        findings = check(folder)
         for finding in findings:
             print(finding)
         if not findings:
-            print(f"{self.case}: complete")
+            print(f"{folder}: complete")
         return 1 if any(finding.severity == "error" for finding in findings) else 0
 
 

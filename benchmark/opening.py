@@ -18,7 +18,7 @@ from ..datasets.collection import Collection, TransferPair, open_collection
 from .cache import Cache, digest
 from .checksum import code
 
-__all__ = ["Opened", "listing", "open_recordings"]
+__all__ = ["Opened", "folder_of", "listing", "open_recordings"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,11 @@ class Opened:
     key: str | None = None
     note: str = ""
     split: str = "published"
+
+
+def folder_of(path: str) -> Path:
+    """The folder at ``path``, or that of the recordings that ship with twinbench by the name "sample"."""
+    return Path(collections.__file__).parent / "sample" if str(path) == "sample" else Path(path)
 
 
 def listing(folder: Path) -> str:
@@ -56,7 +61,7 @@ def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:
 
     Raises ValueError where nothing is there, or no reader recognises it.
     """
-    folder = Path(collections.__file__).parent / "sample" if path == "sample" else Path(path)
+    folder = folder_of(path)
     if not folder.exists():
         raise ValueError(f"no recordings at {folder}: no such file or folder")
     read = once(lambda: open_collection(path, split=split))

@@ -144,6 +144,11 @@ def test_check_tells_by_its_exit_code(cases, tmp_path, capsys):
     assert "final_data.pkl" in capsys.readouterr().out
 
 
+def test_the_recordings_that_ship_are_known_by_name(capsys):
+    assert main(["check", "sample"]) == 0
+    assert "error" not in capsys.readouterr().out
+
+
 def test_list_names_everything(cases, capsys):
     assert main(["list", "--data", str(cases)]) == 0
     out = capsys.readouterr().out
