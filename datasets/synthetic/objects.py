@@ -18,6 +18,7 @@ class Plush:
     size       (length, width, height) of the box around it [m]
     cells      grid cells along each of them; six tetrahedra per cell
     taper      how much thinner the tail end is than the head end, 0 to 1
+    rounding   how much thinner than between them the very ends are, 0 to 1
     roundness  of the cross-section: 0 is a box, 1 an ellipse
     density    [kg/m^3]
     young      Young's modulus [Pa]
@@ -30,6 +31,7 @@ class Plush:
     size: tuple[float, float, float] = (0.24, 0.06, 0.024)
     cells: tuple[int, int, int] = (12, 3, 2)
     taper: float = 0.35
+    rounding: float = 0.35
     roundness: float = 0.6
     density: float = 100.0
     young: float = 1e4
@@ -51,7 +53,7 @@ class Plush:
         """(V, 3) rest positions [m]; the lowest vertex is at z = 0."""
         axes = [np.linspace(-1, 1, n + 1) for n in self.cells]
         s, y, z = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
-        scale = (1 - self.taper * (s + 1) / 2) * (1 - 0.35 * s**4)
+        scale = (1 - self.taper * (s + 1) / 2) * (1 - self.rounding * s**4)
         r = self.roundness / 2
         across, up = y * np.sqrt(1 - r * z**2), z * np.sqrt(1 - r * y**2)
         points = np.stack([s, scale * across, scale * up], axis=1) * np.array(self.size) / 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,7 @@ def simulate(body: Plush, interaction: Interaction, *, frames: int, fps: float =
     """Simulate ``frames`` frames with ``substeps`` steps each.
 
     The body settles ungripped first; then the grip closes on it as it lies, without force. Raises ValueError where nothing is within the
-    grip, RuntimeError where MuJoCo's solution is not finite.
+    grip, RuntimeError with MuJoCo's reason where its solution cannot be trusted.
     """
     mujoco = _mujoco()
     dt = 1 / (fps * substeps)
@@ -48,35 +49,43 @@ def simulate(body: Plush, interaction: Interaction, *, frames: int, fps: float =
     start = interaction.place(rest) + np.array([0, 0, SKIN])
     model = mujoco.MjModel.from_xml_string(_mjcf(body, start, gripped, dt))
     data = mujoco.MjData(model)
+    with _warnings(mujoco) as said:
+        data.eq_active[:] = 0
+        for _ in range(round(interaction.settle / dt)):
+            mujoco.mj_step(model, data)
+        _refresh(mujoco, model, data)
+        origin = np.zeros(3)
+        if len(gripped):
+            origin = interaction.place(np.array(interaction.grip))
+            model.eq_data[:, :3], model.eq_data[:, 3:6] = data.flexvert_xpos[gripped] - origin, 0
+            data.eq_active[:] = 1
+        moves, turns = interaction.path(np.arange((frames - 1) * substeps + 2) * dt)
+        vertices = _follow(mujoco, model, data, origin + moves, turns, substeps)
+    if said:  # after a blow-up MuJoCo starts afresh: the positions alone look sane
+        raise RuntimeError(
+            f"MuJoCo cannot simulate interaction {interaction.name} of {body.name} with {substeps} substeps a frame and "
+            f"Young's modulus {body.young} Pa: {said[0]}"
+        )
+    sampled = np.arange(frames) * substeps
+    return Motion(vertices, origin + moves[sampled], turns[sampled], gripped)
 
-    data.eq_active[:] = 0
-    for _ in range(round(interaction.settle / dt)):
-        mujoco.mj_step(model, data)
-    _refresh(mujoco, model, data)
-    origin = np.zeros(3)
-    if len(gripped):
-        origin = interaction.place(np.array(interaction.grip))
-        model.eq_data[:, :3], model.eq_data[:, 3:6] = data.flexvert_xpos[gripped] - origin, 0
-        data.eq_active[:] = 1
 
-    moves, turns = interaction.path(np.arange((frames - 1) * substeps + 2) * dt)
-    path = origin + moves
-    spin = _spin(turns) / dt
+def _follow(mujoco, model, data, path, turns, substeps):
+    """Vertices (T, V, 3) at every ``substeps``-th pose of the hand.
+
+    A hand that carries its true velocity, unlike a teleported one, leaves no lag between grip and body.
+    """
+    dt = model.opt.timestep
+    velocity, spin = np.diff(path, axis=0) / dt, _spin(turns) / dt
     vertices = [data.flexvert_xpos.copy()]
-    for step in range((frames - 1) * substeps):
-        # A hand that carries its true velocity, unlike a teleported one, leaves no lag between grip and body.
-        data.qpos[:3], data.qvel[:3] = path[step], (path[step + 1] - path[step]) / dt
+    for step in range(len(path) - 2):
+        data.qpos[:3], data.qvel[:3], data.qvel[3:6] = path[step], velocity[step], spin[step]
         mujoco.mju_mat2Quat(data.qpos[3:7], turns[step].ravel())
-        data.qvel[3:6] = spin[step]
         mujoco.mj_step(model, data)
         if (step + 1) % substeps == 0:
             _refresh(mujoco, model, data)
             vertices.append(data.flexvert_xpos.copy())
-    vertices = np.array(vertices)
-    if not np.isfinite(vertices).all():
-        raise RuntimeError(f"MuJoCo diverged in interaction {interaction.name} of {body.name}; take more substeps than {substeps}")
-    sampled = np.arange(frames) * substeps
-    return Motion(vertices, path[sampled], turns[sampled], gripped)
+    return np.array(vertices)
 
 
 def _mjcf(body, points, gripped, dt):
@@ -117,6 +126,17 @@ def _refresh(mujoco, model, data):
     """Vertex positions lag one step behind the state after mj_step; bring them up."""
     mujoco.mj_kinematics(model, data)
     mujoco.mj_flex(model, data)
+
+
+@contextmanager
+def _warnings(mujoco):
+    """Collect MuJoCo's warnings, which it would else print and append to a file in the working folder."""
+    said, before = [], mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(said.append)
+    try:
+        yield said
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _mujoco():
