@@ -1,11 +1,13 @@
-"""Finding methods by name.
+"""Finding methods by name, without importing what they are made of.
 
-A method is one file (or one folder with an ``__init__.py``) beside this one that holds ``METHODS``: a tuple of :class:`~.base.Method`
-classes. Importing it must stay cheap: engines and torch are imported by the functions that need them.
+A method is one file (or one folder with an ``__init__.py``) beside this one that holds ``METHODS``, a tuple of :class:`~.base.Method`
+classes. Names are read from the source, so a method may import its engine at the top of its file and a run whose rows
+are all remembered still starts at once.
 """
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -13,22 +15,64 @@ from pathlib import Path
 from ..datasets.collection import nearest
 from .base import Method
 
-__all__ = ["get_method", "methods"]
+__all__ = ["Found", "declared", "get_method", "methods"]
+
+
+class Found:
+    """A method that is there: called without arguments it imports the method and makes one. Carries the method's docstring."""
+
+    def __init__(self, name: str, module: str, class_name: str, doc: str | None):
+        self.name, self._module, self._class = name, module, class_name
+        self.__doc__ = doc
+
+    def __call__(self) -> Method:
+        return getattr(import_module(self._module, __package__), self._class)()
+
+    def __repr__(self):
+        return f"{self._class} in {self._module}"
 
 
 def methods() -> dict[str, Callable[[], Method]]:
-    """Every method found in this folder: name -> class to call without arguments."""
+    """Every method found in this folder, by name."""
     here = Path(__file__).parent
     found: dict[str, Callable[[], Method]] = {}
     for file in sorted([*here.glob("*.py"), *here.glob("*/__init__.py")]):
-        if file == Path(__file__) or "METHODS" not in file.read_text(encoding="utf-8"):
-            continue
-        module = file.parent.name if file.name == "__init__.py" else file.stem
-        for method in getattr(import_module(f".{module}", __package__), "METHODS", ()):
-            if method.name in found:
-                raise ValueError(f"two methods are called {method.name!r}: {found[method.name]!r} and {method!r}")
-            found[method.name] = method
+        module = "." + (file.parent.name if file.name == "__init__.py" else file.stem)
+        for name, (class_name, doc) in declared(file.read_text(encoding="utf-8"), file.name).items():
+            method = Found(name, module, class_name, doc)
+            if name in found:
+                raise ValueError(f"two methods are called {name!r}: {found[name]!r} and {method!r}")
+            found[name] = method
     return found
+
+
+def declared(source: str, file: str = "") -> dict[str, tuple[str, str | None]]:
+    """``{name: (class, docstring)}`` of the classes in a source text's ``METHODS``; empty where it has none.
+
+    Raises ValueError where a class listed there is not in the text, or has no ``name = "..."``.
+    """
+    body = ast.parse(source).body
+    classes = {node.name: node for node in body if isinstance(node, ast.ClassDef)}
+    listed = [node.value for node in body if isinstance(node, ast.Assign) and _assigns(node, "METHODS")]
+    found = {}
+    for element in listed[-1].elts if listed and isinstance(listed[-1], ast.Tuple | ast.List) else ():
+        class_name = ast.unparse(element)
+        name = _name(classes.get(class_name))
+        if name is None:
+            raise ValueError(f'{file}: METHODS lists {class_name}, which must be a class of that file with a line name = "..."')
+        found[name] = (class_name, ast.get_docstring(classes[class_name]))
+    return found
+
+
+def _assigns(node: ast.Assign, name: str) -> bool:
+    return any(isinstance(target, ast.Name) and target.id == name for target in node.targets)
+
+
+def _name(node: ast.ClassDef | None) -> str | None:
+    for line in node.body if node else ():
+        if isinstance(line, ast.Assign) and _assigns(line, "name") and isinstance(line.value, ast.Constant):
+            return line.value.value
+    return None
 
 
 def get_method(name: str) -> Method:

@@ -1,5 +1,7 @@
 """The baselines that every method must beat, and how methods are found."""
 
+import inspect
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed
 from twinbench.methods.base import Budget, Method
-from twinbench.methods.registry import get_method, methods
+from twinbench.methods.registry import declared, get_method, methods
 from twinbench.methods.rigid import RigidTwin, rigid_motion
 from twinbench.methods.static import StaticTwin
 
@@ -119,11 +121,24 @@ def test_retargeted_twins_start_in_the_target(name):
     np.testing.assert_allclose(twin.rollout(controllers).positions[0], target.structure, atol=SINGLE)
 
 
-def test_registry_finds_classes_by_name():
+def test_registry_finds_methods_by_name():
     found = methods()
     assert {"static", "rigid"} <= set(found)
     for name, method in found.items():
         assert isinstance(method(), Method) and method().name == name
+        assert method.__doc__ == inspect.cleandoc(type(method()).__doc__)
+
+
+def test_names_are_read_without_importing():
+    source = 'import an_engine_that_is_not_here\nclass A:\n    """Says."""\n    name = "a"\nclass B(A):\n    name = "b"\nMETHODS = (A, B)'
+    assert declared(source) == {"a": ("A", "Says."), "b": ("B", None)}
+    assert declared("x = 1") == declared("METHODS = ()") == {}
+
+
+@pytest.mark.parametrize("body", ["class A:\n    pass\n", "from .other import A\n", "class A:\n    name = NAMES[0]\n"])
+def test_a_method_whose_name_cannot_be_read_is_refused(body):
+    with pytest.raises(ValueError, match=r"new.py: METHODS lists A, which must be a class of that file"):
+        declared(body + "METHODS = (A,)", "new.py")
 
 
 def test_unknown_method_suggests_the_nearest():
