@@ -43,7 +43,7 @@ class Recording:
 def generate(name: str, *, seed: int = 0, frames: int = 48, spacing: float = 0.007, sensor: Sensor | None = None) -> Recording:
     """The recording ``name`` of ``SCENES``; the same arguments give the same arrays on one machine.
 
-    Raises ValueError for an unknown name.
+    Elsewhere positions may differ by some 0.1 mm, to which MuJoCo's solver is exact. Raises ValueError for an unknown name.
     """
     if name not in SCENES:
         raise ValueError(f"unknown synthetic recording {name!r}; {nearest(name, SCENES)}")
