@@ -18,7 +18,7 @@ from .stability import stable_substeps
 from .system import System
 from .terms.base import STAGES
 
-__all__ = ["Batch", "Inputs", "Rollout"]
+__all__ = ["Batch", "Inputs", "Rollout", "first_bad"]
 
 FAR = 1e3  # m: a particle this far from the origin has left any room; the roll-out counts as diverged
 HISTORY_BYTES = 1 << 30  # memory that the states of one stretch may take on the way back
@@ -52,7 +52,7 @@ class Batch:
     """B systems with the same kinds of terms, ready to be stepped.
 
     fps       frames per second of all controller paths; shorter paths hold their last frame
-    substeps  steps per frame, or "auto": from the stability limit (``physics.stability``)
+    substeps  steps per frame, for all or for each system, or "auto": what the stability limit asks of each (``physics.stability``)
     dt        seconds per substep where it is not 1 / (fps substeps) (PhysTwin: 5e-5 in 667 substeps is 33.35 ms, not 33.33)
     device    "cpu", "cuda" or "cuda:1"
     double    float64 instead of float32
@@ -65,8 +65,8 @@ class Batch:
         systems: Sequence[System],
         *,
         fps: float,
-        substeps: int | str = "auto",
-        dt: float | None = None,
+        substeps: int | str | Sequence[int] = "auto",
+        dt: float | Sequence[float] | None = None,
         device: str = "cpu",
         double: bool = False,
         workers: int | None = None,
@@ -84,10 +84,16 @@ class Batch:
         self.laws = Laws(kinds[0])
         self.device = torch.device(device)
         self.dtype = torch.float64 if double else torch.float32
-        self.substeps = stable_substeps(systems, 1 / fps) if substeps == "auto" else int(substeps)
-        if self.substeps < 1:
+        if isinstance(substeps, str):
+            if substeps != "auto":
+                raise ValueError(f"substeps must be >= 1 or 'auto', got {substeps!r}")
+            substeps = [stable_substeps([s], 1 / fps) for s in systems]
+        self.substeps = np.broadcast_to(np.asarray(substeps, np.int64), (len(systems),))
+        if (self.substeps < 1).any():
             raise ValueError(f"substeps must be >= 1 or 'auto', got {substeps}")
-        self.dt = 1 / (fps * self.substeps) if dt is None else float(dt)
+        self.dt = np.broadcast_to(1 / (fps * self.substeps) if dt is None else np.asarray(dt, float), (len(systems),))
+        if not (self.dt > 0).all():
+            raise ValueError(f"dt must be > 0 [s], got {dt}")
         self.columns = self.laws.columns
         self.colliding = bool(self.laws.stage("contact"))
         cuda = self.device.type == "cuda"
@@ -136,12 +142,9 @@ class Batch:
         own = row[1:] - np.bincount(here[other > here], minlength=count)
         self.node_count, self.frame_count = count, frames
         self.starts, self.sizes, self.spring_starts, self.path_starts = start, sizes, spring_start, path_start
-        self.integers = {
-            name: torch.as_tensor(np.ascontiguousarray(value), dtype=torch.int32, device=self.device)
-            for name, value in dict(
-                start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead
-            ).items()
-        }
+        integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
+        self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()} | {"dt": self._real(self.dt)}
+        self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         table = np.zeros((len(systems), len(self.columns)))
         for k, s in enumerate(systems):
             values = s.values
@@ -156,8 +159,11 @@ class Batch:
             table=self._real(table),
         )
 
+    def _ints(self, value):
+        return torch.tensor(np.asarray(value), dtype=torch.int32, device=self.device)
+
     def _real(self, value):
-        return torch.as_tensor(np.ascontiguousarray(value), dtype=self.dtype, device=self.device)
+        return torch.tensor(np.asarray(value), dtype=self.dtype, device=self.device)
 
     def column(self, name: str) -> int:
         """The parameter table's column called ``name``."""
@@ -184,7 +190,7 @@ class Batch:
             out, _, _ = self.march(0, frames - 1, inputs)
             out = torch.cat([inputs.x[None], out])
         positions = self.split(out)
-        return Rollout(positions, np.array([_first_bad(p) for p in positions]))
+        return Rollout(positions, np.array([first_bad(p) for p in positions]))
 
     def march(self, frame: int, frames: int, inputs: Inputs | None = None):
         """Simulate ``frames`` frames from ``frame`` on: positions (frames, nodes, 3) at their ends and the final x and v (nodes, 3).
@@ -196,34 +202,40 @@ class Batch:
         inputs = inputs or self.inputs
         return _March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
 
-    def stretches(self, frames: int, *, history: bool) -> list[tuple[int, int]]:
-        """(first substep, number of substeps) of each launch.
+    def stretches(self, frames: int, *, history: bool) -> list[Stretch]:
+        """The launches that ``frames`` frames take.
 
         Contact candidates are looked up once a frame, so a launch ends there; one that keeps its history ends where memory does.
         """
-        total = frames * self.substeps
-        longest = self.substeps if self.colliding else max(1, total)
-        if history:
-            arrays = 5 if self.colliding else 4
-            room = max(1, HISTORY_BYTES // (self.node_count * self.dtype.itemsize * 3 * arrays))
-            longest = -(-longest // -(-longest // room))
-        cuts = [0]
-        while cuts[-1] < total:
-            frame_end = (cuts[-1] // self.substeps + 1) * self.substeps if self.colliding else total
-            cuts.append(min(cuts[-1] + longest, frame_end, total))
-        return [(a, b - a) for a, b in pairwise(cuts)]
+        if not history:
+            whole = 1 if self.colliding else max(1, frames)
+            return [Stretch(f, 0, self.substeps * min(whole, frames - f)) for f in range(0, frames, whole)]
+        substeps = int(self.substeps[0])
+        if (self.substeps != substeps).any():
+            raise ValueError("gradients need the same number of substeps in every system of the batch")
+        longest = substeps if self.colliding else max(1, frames * substeps)
+        room = max(1, HISTORY_BYTES // (self.node_count * self.dtype.itemsize * 3 * (5 if self.colliding else 4)))
+        longest = -(-longest // -(-longest // room))
+        found, begin = [], 0
+        while begin < frames * substeps:
+            frame_end = (begin // substeps + 1) * substeps if self.colliding else frames * substeps
+            end = min(begin + longest, frame_end)
+            found.append(Stretch(begin // substeps, begin % substeps, np.full(len(self.systems), end - begin)))
+            begin = end
+        return found
 
-    def forward(self, world: _World, frame: int, begin: int, count: int) -> None:
-        """Step ``world`` from slot 0 through ``count`` substeps, the first being ``begin`` after ``frame``."""
-        self._launch(self.kernels.forward, [world], (frame, begin, count, self.substeps, world.slots, self.dt))
+    def forward(self, world: _World, frame: int, stretch: Stretch) -> None:
+        """Step ``world`` from slot 0 through a stretch that starts after ``frame``."""
+        self._launch(self.kernels.forward, [world], stretch, (frame + stretch.frame, stretch.begin, world.slots))
 
-    def backward(self, world: _World, adjoint: _Adjoint, frame: int, begin: int, count: int) -> None:
+    def backward(self, world: _World, adjoint: _Adjoint, frame: int, stretch: Stretch) -> None:
         """Pull ``adjoint`` back through the substeps whose history ``world`` holds."""
-        self._launch(self.kernels.backward, [world, adjoint], (frame, begin, count, self.substeps, self.dt))
+        self._launch(self.kernels.backward, [world, adjoint], stretch, (frame + stretch.frame, stretch.begin))
 
-    def _launch(self, kernel, carriers, tail):
+    def _launch(self, kernel, carriers, stretch, tail):
         blocks, threads, _ = self._team
         carriers[0].tensors["counters"].zero_()
+        carriers[0].set(count=self._ints(stretch.count))
 
         def go(first, last):
             head = [c.struct for c in carriers] + [int(first), blocks]
@@ -237,6 +249,19 @@ class Batch:
         cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
         with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
             list(pool.map(go, cuts[:-1], cuts[1:]))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The substeps of one launch: from substep ``begin`` of ``frame`` on, ``count`` (B,) of them in each system."""
+
+    frame: int
+    begin: int
+    count: np.ndarray
+
+    @property
+    def longest(self) -> int:
+        return int(self.count.max())
 
 
 class _Carrier:
@@ -263,7 +288,7 @@ class _World(_Carrier):
     """The state of a batch in ``slots`` slots, starting at (x, v), with ``near`` the contact candidates."""
 
     def __init__(self, batch, values, x, v, near, slots, out):
-        n, self.slots = batch.node_count, slots
+        n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
             return torch.empty(shape, dtype=dtype, device=batch.device)
@@ -277,7 +302,7 @@ class _World(_Carrier):
             batch.kernels,
             batch.kernels.World,
             dict(
-                **batch.integers,
+                **batch.constants,
                 **{k: values[k] for k in ("rest", "stiffness", "mass", "path", "table")},
                 **dict(x=xs, v=vs, pushed=empty(slots, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(slots, n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
@@ -285,9 +310,11 @@ class _World(_Carrier):
             ),
         )
 
-    def state(self, substep: int):
-        """(x, v) at the start of ``substep``."""
-        return self.tensors["x"][substep % self.slots], self.tensors["v"][substep % self.slots]
+    def end(self, stretch: Stretch):
+        """(x, v) at the end of a stretch."""
+        slot = torch.as_tensor(stretch.count % self.slots, device=self._batch.device)[self._batch.system_of]
+        node = torch.arange(len(slot), device=slot.device)
+        return self.tensors["x"][slot, node], self.tensors["v"][slot, node]
 
 
 class _Adjoint(_Carrier):
@@ -304,7 +331,7 @@ class _Adjoint(_Carrier):
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
-            dict(x=x.clone(), v=v.clone(), met=zeros(3), force=zeros(3), out=out, links=zeros(1)[:, 0], **stages, **inputs),
+            dict(x=x.contiguous().clone(), v=v.contiguous().clone(), met=zeros(3), force=zeros(3), out=out, links=zeros(1)[:, 0], **stages, **inputs),
         )
 
     def gradients(self):
@@ -324,34 +351,36 @@ class _March(torch.autograd.Function):
         back = any(ctx.needs_input_grad)
         stretches = batch.stretches(frames, history=back)
         ctx.starts, ctx.world, near = [], None, None
-        for begin, count in stretches:
-            if batch.colliding and begin % batch.substeps == 0:
+        keep = back and len(stretches) == 1
+        for stretch in stretches:
+            if batch.colliding and stretch.begin == 0:
                 near = candidates(batch, x, values["table"])
-            world = _World(batch, values, x, v, near, count + 1 if back and len(stretches) == 1 else 2, out)
+            world = _World(batch, values, x, v, near, stretch.longest + 1 if keep else 2, out[stretch.frame :])
             ctx.starts.append((x, v, near))
-            batch.forward(world, frame, begin, count)
-            x, v = (t.clone() for t in world.state(count))
-            if back and len(stretches) == 1:
-                ctx.world = world
+            batch.forward(world, frame, stretch)
+            x, v = world.end(stretch)
+            ctx.world = world if keep else None
         ctx.batch, ctx.frame, ctx.values, ctx.stretches = batch, frame, values, stretches
         return out, x, v
 
     @staticmethod
     def backward(ctx, g_out, g_x, g_v):
         batch, values = ctx.batch, ctx.values
-        adjoint = _Adjoint(batch, values, g_x.contiguous(), g_v.contiguous(), g_out.contiguous())
+        given = g_out.contiguous()
+        adjoint = _Adjoint(batch, values, g_x, g_v, given)
         scratch = torch.empty_like(g_out)
-        for (begin, count), start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
+        for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             world = ctx.world
             if world is None:
-                world = _World(batch, values, *start, count + 1, scratch)
-                batch.forward(world, ctx.frame, begin, count)
-            batch.backward(world, adjoint, ctx.frame, begin, count)
+                world = _World(batch, values, *start, stretch.longest + 1, scratch[stretch.frame :])
+                batch.forward(world, ctx.frame, stretch)
+            adjoint.set(out=given[stretch.frame :])
+            batch.backward(world, adjoint, ctx.frame, stretch)
         gradients = adjoint.gradients()
         return (None, None, None, *(gradients[f.name] for f in fields(Inputs)))
 
 
-def _first_bad(positions):
+def first_bad(positions):
     """First frame of (F, M, 3) with a non-finite or far coordinate, or -1."""
     bad = ~(positions.abs() < FAR).flatten(1).all(1)
     return int(bad.nonzero()[0]) if bool(bad.any()) else -1

@@ -16,13 +16,18 @@ def candidates(batch, x: torch.Tensor, table: torch.Tensor) -> tuple[torch.Tenso
     from scipy.spatial import cKDTree
 
     positions = x.detach().cpu().numpy()
-    distances = table[:, batch.laws.start("contact")].detach().cpu().numpy()
+    column = batch.laws.start("contact")
+    distances = table[:, column].detach().cpu().numpy()
+    neighbours = table[:, column + 3].detach().cpu().numpy() > 0
     first, second = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for start, size, distance in zip(batch.starts[:-1], batch.sizes, distances, strict=True):
+    for system, start, size, distance, joined in zip(batch.systems, batch.starts[:-1], batch.sizes, distances, neighbours, strict=True):
         points = positions[start : start + size]
         if np.isfinite(points).all():
             # slightly wide, because the kernel compares in its own precision
             pairs = cKDTree(points).query_pairs(float(distance) * (1 + 1e-6), output_type="ndarray")
+            if not joined:
+                apart = np.linalg.norm(system.positions[pairs[:, 0]] - system.positions[pairs[:, 1]], axis=1)
+                pairs = pairs[apart >= distance]
             first.append(start + pairs[:, 0])
             second.append(start + pairs[:, 1])
     first, second = np.concatenate(first), np.concatenate(second)

@@ -273,6 +273,9 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
     @wp.struct
     class World:
         start: wp.array(dtype=wp.int32)  # (B+1,) first node of each system
+        substeps: wp.array(dtype=wp.int32)  # (B,) per frame
+        count: wp.array(dtype=wp.int32)  # (B,) substeps to take in this launch
+        dt: wp.array(dtype=R)  # (B,) s
         row: wp.array(dtype=wp.int32)  # (nodes+1,) first incident spring end of each node
         own: wp.array(dtype=wp.int32)  # (nodes,) first incident end whose other node is higher: the spring counts here
         other: wp.array(dtype=wp.int32)  # (ends,) the node at the other end
@@ -374,11 +377,14 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         return v, count
 
     @wp.kernel(module="unique", enable_backward=False)
-    def forward(w: World, first: int, blocks: int, frame: int, begin: int, count: int, substeps: int, slots: int, dt: R):
+    def forward(w: World, first: int, blocks: int, frame: int, begin: int, slots: int):
         group, thread = wp.tid()
         team = group // blocks
         lane = (group % blocks) * wp.block_dim() + thread
         b = first + team
+        substeps = w.substeps[b]
+        count = w.count[b]
+        dt = w.dt[b]
         lo = w.start[b]
         hi = w.start[b + 1]
         width = blocks * wp.block_dim()
@@ -509,11 +515,14 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         return -gx, gv, gp
 
     @wp.kernel(module="unique", enable_backward=False)
-    def backward(w: World, a: Adjoint, first: int, blocks: int, frame: int, begin: int, count: int, substeps: int, dt: R):
+    def backward(w: World, a: Adjoint, first: int, blocks: int, frame: int, begin: int):
         group, thread = wp.tid()
         team = group // blocks
         lane = (group % blocks) * wp.block_dim() + thread
         b = first + team
+        substeps = w.substeps[b]
+        count = w.count[b]
+        dt = w.dt[b]
         lo = w.start[b]
         hi = w.start[b + 1]
         width = blocks * wp.block_dim()

@@ -35,7 +35,8 @@ class SelfCollision(Term):
     """Restitution and friction between approaching particles closer than ``collision_dist`` (PhysTwin's code).
 
     Pairs are looked up once a frame; each particle gets the mean of its contacts' impulses (Jacobi), which does not conserve momentum
-    where contact counts differ. Spring-connected neighbours collide too, as published.
+    where contact counts differ. As published, particles that a spring joins collide too; with ``collide_neighbours`` 0, particles that
+    start closer than ``collision_dist`` never do.
     """
 
     name = "self_collision"
@@ -44,11 +45,12 @@ class SelfCollision(Term):
         Parameter("collision_dist", 0.02, 0.0, 0.5, "m", "distance within which particles can meet"),
         Parameter("collide_object_elas", 0.7, 0.0, 1.0, "-", "restitution between particles"),
         Parameter("collide_object_fric", 0.3, 0.0, 2.0, "-", "Coulomb friction between particles"),
+        Parameter("collide_neighbours", 1.0, 0.0, 1.0, "-", "1: particles that start close can meet as well, 0: they cannot"),
     )
     law = impulse
 
     @staticmethod
-    def twin(xi, xj, vi, vj, mi, mj, collision_dist, collide_object_elas, collide_object_fric):
+    def twin(xi, xj, vi, vj, mi, mj, collision_dist, collide_object_elas, collide_object_fric, collide_neighbours):
         """The same law in numpy, for one ordered pair."""
         import numpy as np
 

@@ -1,0 +1,103 @@
+"""PhysTwin (Jiang et al., ICCV 2025): a spring-mass twin fitted by CMA-ES, then by gradients through the simulator.
+
+``phystwin`` does what the equations say; ``phystwin-as-published`` what the reference implementation executes; ``phystwin-zero`` and
+``phystwin-first`` are the paper's ablations, each stage alone. Independent implementation; see ``config.Quirks`` for the differences.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..base import Method
+from .config import AS_PUBLISHED, CORRECTED, Config
+
+__all__ = ["METHODS", "PhysTwin", "PhysTwinAsPublished", "PhysTwinFirst", "PhysTwinZero"]
+
+
+class PhysTwin(Method):
+    """Both stages, by the equations."""
+
+    name = "phystwin"
+    stages = ("zero", "first")
+    presets = {
+        "quick": Config(quirks=CORRECTED, iterations=6, population=8, epochs=4, rate=0.02, recordings=3, frames=120),
+        "full": Config(quirks=CORRECTED, iterations=20, epochs=40, rate=0.01, recordings=12),
+    }
+
+    def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
+        from .body import Place, build
+        from .config import ranges
+        from .first_order import refine
+        from .twin import PhysTwinTwin
+        from .zero_order import search
+
+        config = self.config(budget.preset, observed[0])
+        used = [observed[k] for k in np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))]
+        _same_body(used)
+        used = [_first_frames(o, config.frames) for o in used]
+        values = {p.name: p.value for p in ranges(config.quirks, used[0].spacing)}
+        if "zero" in self.stages:
+            values = search(used, config, seed=seed, device=device, progress=progress)
+        if config.quirks.truncated_dampings:
+            values = {k: float(int(v)) if k.endswith("_damping") else v for k, v in values.items()}
+        body = build(values, Place.of(used[0]))
+        if "first" in self.stages:
+            body = refine(body, used, config, device=device, progress=progress)
+        return PhysTwinTwin(body, Place.of(used[0]), config, device)
+
+    def config(self, preset: str, observed) -> Config:
+        """What a preset means on a recording."""
+        return self.presets[preset]
+
+
+class PhysTwinZero(PhysTwin):
+    """The zero-order stage alone: homogeneous stiffness."""
+
+    name = "phystwin-zero"
+    stages = ("zero",)
+
+
+class PhysTwinFirst(PhysTwin):
+    """The first-order stage alone, from the published defaults."""
+
+    name = "phystwin-first"
+    stages = ("first",)
+
+
+class PhysTwinAsPublished(PhysTwin):
+    """Both stages with every quirk of the reference implementation. On a CPU a matter of hours."""
+
+    name = "phystwin-as-published"
+    presets = {
+        "quick": Config(quirks=AS_PUBLISHED, iterations=2, population=4, epochs=2, recordings=1),
+        "full": Config(quirks=AS_PUBLISHED),
+    }
+
+    def config(self, preset, observed):
+        config = super().config(preset, observed)
+        # the published cloth configuration, known by its self-collision, learns for half as long
+        return replace(config, epochs=100) if preset == "full" and observed.self_collision else config
+
+
+METHODS = (PhysTwin, PhysTwinZero, PhysTwinFirst, PhysTwinAsPublished)
+
+
+def _same_body(observed):
+    """Refuse to fit one twin on recordings whose particles do not correspond."""
+    for other in observed[1:]:
+        if other.counts != observed[0].counts:
+            raise ValueError(
+                f"a twin can be fitted jointly on recordings whose particles correspond, but {observed[0].name} has "
+                f"{observed[0].counts} tracked, surface and interior particles and {other.name} has {other.counts}"
+            )
+
+
+def _first_frames(observed, frames):
+    """The recording's first ``frames`` observed frames."""
+    if frames is None or frames >= observed.observed_frames:
+        return observed
+    cut = {n: getattr(observed, n)[:frames] for n in ("points", "visible", "motion_valid")}
+    colors = None if observed.colors is None else observed.colors[:frames]
+    return replace(observed, **cut, colors=colors, controllers=observed.controllers[:frames])

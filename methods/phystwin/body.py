@@ -1,0 +1,161 @@
+"""From searched numbers to a system that can be stepped, and to roll-outs of many of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ...datasets.scenario import Observed
+from ...physics.batch import Batch, first_bad
+from ...physics.stability import stable_substeps
+from ...physics.system import System
+from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
+from ...physics.topology import controller_springs, object_springs
+from .config import Config
+
+__all__ = ["Body", "Motion", "Place", "build", "hand_springs", "roll", "system", "time_step"]
+
+PUBLISHED_STEP = 5e-5  # s
+PUBLISHED_SUBSTEPS = 667
+SAFETY = 0.9  # of the stable step, which is itself a lower bound
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a body stands: frame 0 of a recording and what surrounds it there."""
+
+    structure: np.ndarray  # (M, 3) m
+    counts: tuple[int, int, int]
+    controllers: np.ndarray  # (T, C, 3) m
+    grips: np.ndarray  # (C,)
+    gravity: np.ndarray  # (3,) m/s^2
+    ground: tuple[float, float, float, float] | None  # unit normal and offset [m]
+    self_collision: bool
+    fps: float
+
+    @classmethod
+    def of(cls, observed: Observed) -> Place:
+        """The place of a recording."""
+        ground = observed.ground and (*map(float, observed.ground.normal), float(observed.ground.offset))
+        return cls(
+            observed.structure,
+            observed.counts,
+            observed.controllers,
+            observed.grips,
+            observed.gravity,
+            ground,
+            observed.self_collision,
+            observed.fps,
+        )
+
+
+@dataclass(frozen=True)
+class Body:
+    """The object itself, apart from where it stands.
+
+    springs (E, 2) between particles and stiffness (E,) [N]; ``pull`` [N] of the springs that join controllers; ``values`` are the searched
+    parameters by name. ``pulls`` (Ec, 2) and ``pull`` (Ec,) belong to the place where the body was fitted.
+    """
+
+    springs: np.ndarray
+    stiffness: np.ndarray
+    pulls: np.ndarray
+    pull: np.ndarray
+    values: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A simulated recording: ``positions`` (F, M, 3) [m], ``velocities`` alike or None, the first ``diverged`` frame or -1."""
+
+    positions: torch.Tensor
+    velocities: torch.Tensor | None
+    diverged: int
+
+
+def build(values: dict[str, float], place: Place) -> Body:
+    """A homogeneous body: topology and stiffness from the searched parameters."""
+    springs = object_springs(place.structure, radius=values["object_radius"], max_neighbours=int(values["object_max_neighbours"]))
+    pulls = hand_springs(values, place)
+    stiffness = values["global_spring_Y"]
+    return Body(springs, np.full(len(springs), stiffness), pulls, np.full(len(pulls), stiffness), dict(values))
+
+
+def hand_springs(values: dict[str, float], place: Place) -> np.ndarray:
+    """Springs (Ec, 2) from hand points (M + c) to particles; controllers that grip a particle need none."""
+    hands = np.flatnonzero(place.grips < 0)
+    radius, most = values["controller_radius"], int(values["controller_max_neighbours"])
+    found = controller_springs(place.controllers[0, hands], place.structure, radius=radius, max_neighbours=most)
+    if len(found):
+        found[:, 0] = len(place.structure) + hands[found[:, 0]]
+    return found
+
+
+def system(body: Body, place: Place, config: Config) -> System:
+    """The body at a place, at rest and free of stress."""
+    v = body.values
+    x, y, z = place.gravity
+    share = 0.0 if config.quirks.still_controllers else 1.0
+    terms = [
+        Springs(),
+        Dashpot({"dashpot_damping": v["dashpot_damping"]}),
+        ControllerSprings({"controller_velocity": share}),
+        Gravity({"gravity_x": x, "gravity_y": y, "gravity_z": z}),
+        LinearDrag({"drag_damping": v["drag_damping"]}),
+    ]
+    if place.ground is not None:
+        names = ("ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset")
+        plane = dict(zip(names, place.ground, strict=True))
+        terms.append(Ground({"collide_elas": v["collide_elas"], "collide_fric": v["collide_fric"], **plane}))
+    if place.self_collision:
+        names = ("collision_dist", "collide_object_elas", "collide_object_fric")
+        near = 1.0 if config.quirks.colliding_neighbours else 0.0
+        terms.append(SelfCollision({**{n: v[n] for n in names}, "collide_neighbours": near}))
+    return System(
+        positions=place.structure,
+        springs=np.concatenate([body.springs, body.pulls]),
+        stiffness=np.concatenate([body.stiffness, body.pull]),
+        controllers=place.controllers,
+        grips=place.grips,
+        terms=tuple(terms),
+    )
+
+
+def time_step(systems: Sequence[System], fps: float, config: Config) -> tuple[int, float]:
+    """(substeps per frame, seconds per substep)."""
+    if config.quirks.long_frame:
+        return PUBLISHED_SUBSTEPS, PUBLISHED_STEP
+    substeps = config.substeps
+    if substeps == "auto":
+        substeps = min(stable_substeps(systems, 1 / fps, safety=SAFETY), config.most_substeps)
+    return substeps, 1 / fps / substeps
+
+
+def roll(
+    systems: Sequence[System], fps: float, frames: int, config: Config, device: str, *, step: tuple[int, float] | None = None
+) -> list[Motion]:
+    """The first ``frames`` frames of each system, all as one batch, each with as many substeps as it needs.
+
+    ``step`` (substeps per frame, seconds) overrides what ``config`` would choose.
+    """
+    steps = [step or time_step([one], fps, config) for one in systems]
+    substeps, dt = zip(*steps, strict=True)
+    batch = Batch(systems, fps=fps, substeps=substeps, dt=dt, device=device)
+    if config.quirks.acceleration_loss:
+        positions, velocities = _frame_by_frame(batch, frames)
+    else:
+        positions, velocities = batch.rollout(frames).positions, [None] * len(systems)
+    return [Motion(x, v, first_bad(x)) for x, v in zip(positions, velocities, strict=True)]
+
+
+def _frame_by_frame(batch, frames):
+    """Positions and velocities (F, M, 3) of each system at the frames."""
+    xs, vs = [batch.inputs.x], [batch.inputs.v]
+    for frame in range(frames - 1):
+        _, x, v = batch.march(frame, 1, replace(batch.inputs, x=xs[-1], v=vs[-1]))
+        xs.append(x)
+        vs.append(v)
+    return batch.split(torch.stack(xs)), batch.split(torch.stack(vs))

@@ -1,0 +1,91 @@
+"""What PhysTwin searches, in which of its two faithful modes, and with how much work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from ...physics.parameters import Parameter
+from ...physics.terms import Dashpot, Ground, LinearDrag, SelfCollision
+
+__all__ = ["AS_PUBLISHED", "CONTACT", "CORRECTED", "SEARCHED", "Config", "Quirks", "ranges"]
+
+SPACING = 0.005  # m: the published voxel thinning, for which the published radii were chosen
+
+
+@dataclass(frozen=True)
+class Quirks:
+    """Where the reference implementation executes something else than its equations say. True is as published."""
+
+    truncated_dampings: bool = True
+    """Drag and dashpot lose their fraction between the two stages, because a loader casts them to int."""
+    frame_one_counts: bool = True
+    """Losses of every frame are divided by frame 1's numbers of visible points, captured in a CUDA graph."""
+    still_controllers: bool = True
+    """Controllers have no velocity in the dashpot, so hand springs damp absolute motion."""
+    long_frame: bool = True
+    """A frame is 667 substeps of 5e-5 s, 33.35 ms instead of 1/fps."""
+    acceleration_loss: bool = True
+    """The search adds 0.01 times the change of acceleration, a term the paper does not mention."""
+    colliding_neighbours: bool = True
+    """Particles that a spring joins collide as well, which damps compression."""
+    frame_gradients: bool = True
+    """Gradients end at each frame's start and the parameters move after every frame."""
+    sparse_checkpoints: bool = True
+    """Only every 20th epoch and the last can be chosen, by the mean of the losses met while learning."""
+    fixed_radii: bool = True
+    """Connection and collision radii are searched in metres, whatever the spacing of the particles."""
+    fixed_grip: bool = True
+    """A transferred twin's hand springs get a fixed stiffness, its substep is ten times shorter, its collision distance 5 mm."""
+
+
+AS_PUBLISHED = Quirks()
+CORRECTED = Quirks(**{name: False for name in Quirks.__dataclass_fields__})
+
+CONTACT = ("collide_elas", "collide_fric", "collide_object_elas", "collide_object_fric")
+
+SEARCHED = (
+    Parameter("global_spring_Y", 3e4, 0.0, 1e5, "N", "force per unit strain of every spring"),
+    Parameter("object_radius", 0.02, 0.01, 0.05, "m", "distance within which particles are joined"),
+    Parameter("object_max_neighbours", 30, 10, 50, "-", "most springs that a particle asks for"),
+    Parameter("controller_radius", 0.04, 0.01, 0.08, "m", "distance within which a controller pulls"),
+    Parameter("controller_max_neighbours", 50, 10, 80, "-", "most springs of a controller"),
+    *(p for p in Ground.parameters + SelfCollision.parameters if p.name in CONTACT),
+    Parameter("collision_dist", 0.02, 0.01, 0.05, "m", "distance within which particles can meet"),
+    *LinearDrag.parameters,
+    *Dashpot.parameters,
+)
+"""The twelve parameters of the zero-order stage with the published ranges and starts, in the published order."""
+
+LENGTHS = ("object_radius", "controller_radius", "collision_dist")
+
+
+def ranges(quirks: Quirks, spacing: float) -> tuple[Parameter, ...]:
+    """The searched parameters for a body whose particles lie ``spacing`` [m] apart; radii scale with it unless ``fixed_radii``."""
+    scale = 1.0 if quirks.fixed_radii else max(1.0, spacing / SPACING)
+    return tuple(replace(p, value=p.value * scale, low=p.low * scale, high=p.high * scale) if p.name in LENGTHS else p for p in SEARCHED)
+
+
+@dataclass(frozen=True)
+class Config:
+    """How PhysTwin is fitted.
+
+    iterations   generations of CMA-ES (published: 20)
+    population   candidates a generation; None is the library's default (published: 11)
+    epochs       passes of the first-order stage (published: 200, or 100 with self-collision)
+    rate         Adam's step in log stiffness, and in the other parameters' unit ranges (published: 1e-3)
+    window       frames that gradients flow through before the parameters move, without ``frame_gradients``
+    substeps     steps per frame, or "auto": what the stability limit asks for, at most ``most_substeps``
+    recordings   most recordings of one object that are fitted jointly, spread evenly over those offered
+    frames       most frames of each recording that are fitted, or None
+    """
+
+    quirks: Quirks = CORRECTED
+    iterations: int = 20
+    population: int | None = None
+    epochs: int = 200
+    rate: float = 1e-3
+    window: int = 8
+    substeps: int | str = "auto"
+    most_substeps: int = 1000
+    recordings: int = 12
+    frames: int | None = None

@@ -1,0 +1,127 @@
+"""The second stage: Adam on every spring's log stiffness and the contact parameters, through the simulator (paper section 3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ...datasets.scenario import Observed
+from ...physics.batch import Batch
+from .body import Body, Place, hand_springs, system, time_step
+from .config import CONTACT, SEARCHED, Config
+from .losses import FitLoss
+from .zero_order import open_loop_costs
+
+__all__ = ["refine"]
+
+LARGEST = 1e5  # N, the published clamp of a spring's stiffness
+CHECKPOINT_EPOCHS = 20
+DAMPING = ("dashpot_damping", "drag_damping")
+
+
+def refine(
+    body: Body, observed: Sequence[Observed], config: Config, *, device: str, progress: Callable[[str, float], None] | None = None
+) -> Body:
+    """The body with its stiffness, contact and (without ``frame_gradients``) damping parameters learned; never worse on the train frames
+    than the one given, unless ``sparse_checkpoints`` asks for the published choice."""
+    learner = _Learner(body, observed, config, device)
+    sparse = config.quirks.sparse_checkpoints
+    best = (float("inf"), body) if sparse else (learner.open_loop(body), body)
+    for epoch in range(config.epochs):
+        met = learner.epoch()
+        if not np.isfinite(met):
+            break
+        if not sparse or (epoch % CHECKPOINT_EPOCHS == 0 or epoch == config.epochs - 1):
+            found = learner.body()
+            best = min(best, (met if sparse else learner.open_loop(found), found), key=lambda pair: pair[0])
+        if progress:
+            progress(f"gradients, best {best[0] * 1e6:.1f} mm^2", (epoch + 1) / config.epochs)
+    return best[1]
+
+
+class _Learner:
+    """Parameters, optimiser and the batch of recordings that they are learned on."""
+
+    def __init__(self, body: Body, observed: Sequence[Observed], config: Config, device: str):
+        self.start, self.config, self.device = body, config, device
+        self.places = [Place.of(o) for o in observed]
+        self.losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=device) for o in observed]
+        self.frames = max(loss.frames for loss in self.losses)
+        # hand springs belong to a place; every recording learns its own, the first place's are the twin's
+        self.pulls = [body.pulls] + [hand_springs(body.values, p) for p in self.places[1:]]
+        level = float(np.exp(np.mean(np.log(np.maximum(body.pull, 1.0))))) if len(body.pull) else 1.0
+        pull = [body.pull] + [np.full(len(p), level) for p in self.pulls[1:]]
+        self.log_stiffness = self._leaf(np.log(np.maximum(body.stiffness, 1e-3)))
+        self.log_pull = [self._leaf(np.log(np.maximum(p, 1e-3))) for p in pull]
+        # contact parameters move in their own units, dampings in their ranges', which are wider than any step of Adam's
+        dampings = () if config.quirks.frame_gradients else DAMPING
+        spans = {p.name: (p.low, p.high - p.low) if p.name in DAMPING else (0.0, 1.0) for p in SEARCHED if p.name in (*CONTACT, *dampings)}
+        self.spans = spans
+        self.units = {n: self._leaf([(body.values[n] - low) / span]) for n, (low, span) in spans.items()}
+        leaves = [self.log_stiffness, *self.log_pull, *self.units.values()]
+        self.optimiser = torch.optim.Adam(leaves, lr=config.rate, betas=(0.9, 0.99))
+
+    def _leaf(self, value):
+        return torch.tensor(np.asarray(value), dtype=torch.float32, device=self.device, requires_grad=True)
+
+    def body(self) -> Body:
+        """What has been learned so far."""
+        stiffness, pull = (t.detach().exp().clamp(max=LARGEST).cpu().double().numpy() for t in (self.log_stiffness, self.log_pull[0]))
+        return replace(self.start, stiffness=stiffness, pull=pull, values=self.start.values | self._values())
+
+    def _values(self):
+        bounds = {p.name: (p.low, p.high) for p in SEARCHED}
+        return {n: float(np.clip(low + float(self.units[n].detach()) * span, *bounds[n])) for n, (low, span) in self.spans.items()}
+
+    def open_loop(self, body: Body) -> float:
+        """Mean loss of one roll-out of ``body`` over the train frames."""
+        return open_loop_costs([body], self.places, self.losses, self.config, self.device)[0]
+
+    def epoch(self) -> float:
+        """One pass over the train frames, the parameters moving as it goes; the mean of the losses met."""
+        body = self.body()
+        systems = []
+        for place, pulls, log_pull in zip(self.places, self.pulls, self.log_pull, strict=True):
+            pull = log_pull.detach().exp().clamp(max=LARGEST).cpu().double().numpy()
+            systems.append(system(replace(body, pulls=pulls, pull=pull), place, self.config))
+        substeps, dt = time_step(systems, self.places[0].fps, self.config)
+        batch = Batch(systems, fps=self.places[0].fps, substeps=substeps, dt=dt, device=self.device)
+        window = 1 if self.config.quirks.frame_gradients else self.config.window
+        x, v, met = batch.inputs.x, batch.inputs.v, []
+        for frame in range(0, self.frames - 1, window):
+            count = min(window, self.frames - 1 - frame)
+            inputs = replace(batch.inputs, x=x.detach(), v=v.detach(), stiffness=self._stiffness(), table=self._table(batch))
+            out, x, v = batch.march(frame, count, inputs)
+            loss = self._loss(batch.split(out), frame + 1)
+            if not torch.isfinite(loss):
+                return float("nan")
+            self.optimiser.zero_grad()
+            loss.backward()
+            self.optimiser.step()
+            met.append(float(loss.detach()))
+        return float(np.mean(met))
+
+    def _stiffness(self):
+        springs = [part for pull in self.log_pull for part in (self.log_stiffness, pull)]
+        return torch.cat(springs).exp().clamp(max=LARGEST)
+
+    def _table(self, batch):
+        table = batch.inputs.table.clone()
+        for name, unit in self.units.items():
+            if name in batch.columns:
+                low, span = self.spans[name]
+                value = low + unit * span
+                table[:, batch.column(name)] = value.clamp(min=0.0) if name in DAMPING else value
+        return table
+
+    def _loss(self, positions, first):
+        """Mean over recordings and frames; a recording that ended has no say."""
+        each = []
+        for predicted, loss in zip(positions, self.losses, strict=True):
+            left = loss.frames - first
+            if left > 0:
+                each.append(loss(predicted[:left], first).mean())
+        return torch.stack(each).mean()

@@ -1,0 +1,48 @@
+"""PhysTwin's fitting losses (its code; paper section 3.3)."""
+
+from __future__ import annotations
+
+import torch
+
+from ...datasets.scenario import Observed
+
+__all__ = ["FitLoss"]
+
+FAR = 1e6  # stands in for the coordinates of points that are not seen, so that they are nobody's nearest
+
+
+class FitLoss:
+    """Chamfer and track loss of one recording's train frames.
+
+    chamfer  (1/n) sum over visible points of |x_j - g_i|^2, j the nearest tracked or surface particle, held fixed
+    track    (1/(3 n')) sum over points whose last motion is valid of smooth-L1(x_i - g_i), beta 1: |d|^2/6 a point, as |d| << 1 m
+    """
+
+    def __init__(self, observed: Observed, *, frame_one_counts: bool, device: str = "cpu", dtype=torch.float32):
+        def to(value):
+            return torch.tensor(value, device=device)
+
+        self.points = to(observed.points).to(dtype)
+        self.visible = to(observed.visible)
+        moved = observed.visible.copy()
+        moved[1:] &= observed.motion_valid[:-1]
+        self.moved = to(moved)
+        self.points = torch.where(self.visible[..., None], self.points, torch.zeros((), dtype=dtype, device=device))
+        self.surface = sum(observed.counts[:2])
+        self.frames = observed.observed_frames
+        seen, valid = self.visible.sum(1), self.moved.sum(1)
+        if frame_one_counts:
+            seen, valid = seen[1].expand_as(seen), valid[1].expand_as(valid)
+        self.seen, self.valid = seen.clamp(min=1).to(dtype), valid.clamp(min=1).to(dtype)
+
+    def __call__(self, positions: torch.Tensor, first: int) -> torch.Tensor:
+        """Loss (F,) of predicted ``positions`` (F, M, 3) [m] at frames ``first``, ``first`` + 1, ..."""
+        span = slice(first, first + len(positions))
+        goal, visible, moved = self.points[span], self.visible[span], self.moved[span]
+        count = goal.shape[1]
+        with torch.no_grad():
+            nearest = torch.cdist(goal, positions[:, : self.surface].detach()).argmin(2)
+        reached = torch.gather(positions, 1, nearest[..., None].expand(-1, -1, 3))
+        chamfer = (((reached - goal) ** 2).sum(2) * visible).sum(1) / self.seen[span]
+        apart = torch.nn.functional.smooth_l1_loss(positions[:, :count], goal, reduction="none", beta=1.0).sum(2)
+        return chamfer + (apart * moved).sum(1) / (3 * self.valid[span])

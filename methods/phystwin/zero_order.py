@@ -1,0 +1,89 @@
+"""The first stage: CMA-ES over the twelve parameters, a whole generation simulated as one batch (paper section 3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+
+from ...datasets.scenario import Observed
+from .body import Body, Motion, Place, build, roll, system
+from .config import Config, ranges
+from .losses import FitLoss
+
+__all__ = ["open_loop_costs", "search"]
+
+SIGMA = 1 / 6
+PUBLISHED_SEED = 42
+ACCELERATION_WEIGHT = 0.01
+WORST = 1e3  # cost of a candidate that blows up: far above any that does not, and finite, as CMA-ES ranks
+
+
+def search(
+    observed: Sequence[Observed], config: Config, *, seed: int, device: str, progress: Callable[[str, float], None] | None = None
+) -> dict[str, float]:
+    """The best parameters ever evaluated, the published start included."""
+    import cma
+
+    places = [Place.of(o) for o in observed]
+    losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=device) for o in observed]
+    table = ranges(config.quirks, observed[0].spacing)
+    moving = [p for p in table if _matters(p.name, places) or config.quirks.fixed_radii]
+    base = {p.name: p.value for p in table}
+
+    def decode(unit):
+        return base | {p.name: p.low + float(u) * (p.high - p.low) for p, u in zip(moving, unit, strict=True)}
+
+    start = np.array([(p.value - p.low) / (p.high - p.low) for p in moving])
+    options = {"bounds": [0, 1], "seed": PUBLISHED_SEED + seed, "verbose": -9, "maxiter": config.iterations}
+    if config.population:
+        options["popsize"] = config.population
+    strategy = cma.CMAEvolutionStrategy(start, SIGMA, options)
+    best = (costs([base], places, losses, config, device)[0], base)
+    for generation in range(config.iterations):
+        units = strategy.ask()
+        candidates = [decode(u) for u in units]
+        found = costs(candidates, places, losses, config, device)
+        strategy.tell(units, found)
+        best = min([best, *zip(found, candidates, strict=True)], key=lambda pair: pair[0])
+        if progress:
+            progress(f"CMA-ES, best {best[0] * 1e6:.1f} mm^2", (generation + 1) / config.iterations)
+    return best[1]
+
+
+def costs(candidates, places, losses, config, device) -> list[float]:
+    """Mean loss over recordings of homogeneous bodies with each candidate's parameters."""
+    bodies = [build(values, places[0]) for values in candidates]
+    return open_loop_costs(bodies, places, losses, config, device)
+
+
+def open_loop_costs(bodies: Sequence[Body], places: Sequence[Place], losses: Sequence[FitLoss], config: Config, device: str) -> list[float]:
+    """Mean over recordings of each body's mean loss over frames 1, 2, ... of one roll-out from frame 0."""
+    frames = max(loss.frames for loss in losses)
+    systems = [system(body, place, config) for body in bodies for place in places]
+    motions = roll(systems, places[0].fps, frames, config, device)
+    found = [_cost(motion, losses[k % len(places)]) for k, motion in enumerate(motions)]
+    return np.reshape(found, (len(bodies), len(places))).mean(1).tolist()
+
+
+def _cost(motion: Motion, loss: FitLoss) -> float:
+    if 0 <= motion.diverged < loss.frames:
+        return WORST
+    total = loss(motion.positions[1 : loss.frames], 1)
+    if motion.velocities is not None:
+        # a = v_end - v_start of each frame; smooth-L1 of its change from frame to frame, off for the first
+        change = motion.velocities[: loss.frames].diff(dim=0).diff(dim=0)
+        total[1:] += ACCELERATION_WEIGHT * torch.nn.functional.smooth_l1_loss(change, torch.zeros_like(change), reduction="none").mean((1, 2))
+    return float(total.mean())
+
+
+def _matters(name, places):
+    """Whether a parameter has anything to act on."""
+    if name in ("collide_elas", "collide_fric"):
+        return any(p.ground is not None for p in places)
+    if name in ("collide_object_elas", "collide_object_fric", "collision_dist"):
+        return any(p.self_collision for p in places)
+    if name in ("controller_radius", "controller_max_neighbours"):
+        return any((p.grips < 0).any() for p in places)
+    return True
