@@ -1,6 +1,6 @@
 """The engine against an independent transcription of PhysTwin's published update (its code, sections 3.2 and the supplement of the paper).
 
-The transcription is float64 numpy, one substep at a time, in the order in which the reference implementation executes: zero forces, springs,
+The transcription is float64 numpy, one substep at a time, in the order in which the reference executes: zero forces, springs,
 velocity with drag, particle contacts, ground and move. It shares nothing with ``physics`` but the arrays it is given.
 """
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-
 from twinbench.physics.batch import Batch
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
@@ -171,7 +170,7 @@ SMOOTH = {
     # spring neighbours collide too: spaced by 2 cm, squeezed below the contact distance of 1.5 cm
     "everything": (Published(self_collision=True, collision_dist=0.015, object_elas=0.2, object_fric=1.2), dict(controllers=HANDS)),
 }
-# Chaotic: every bounce and contact is a jump of the velocity at a threshold, so that rounding grows by powers of ten; and a body that creeps
+# Chaotic: every bounce and contact is a jump of the velocity at a threshold, so that rounding grows by powers of ten; and a body creeping
 # slower than 2^-28 m a substep (7e-5 m/s) stands still in single precision. The published numbers, ten frames, double precision.
 CHAOTIC = {
     "bounces": (Published(), THROWN),
