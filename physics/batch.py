@@ -101,7 +101,7 @@ class Batch:
         self._assemble()
         # (blocks per system, threads per block, lanes per particle); a CPU team is one thread
         self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
-        self.kernels = build(self.laws, double, not cuda, self._team[2])
+        self.kernels = build(self.laws, double, not cuda, self._team[2], self._team[1])
         self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
 
     # ---------------------------------------------------------------- assembly
@@ -293,8 +293,10 @@ class _World(_Carrier):
         def empty(*shape, dtype=batch.dtype):
             return torch.empty(shape, dtype=dtype, device=batch.device)
 
-        xs, vs = empty(slots, n, 3), empty(slots, n, 3)
-        xs[0], vs[0] = x, v
+        state = empty(slots, n, 8)
+        state[0, :, 0:3], state[0, :, 4:7] = x, v
+        self.states = state
+        kept = slots if slots > 2 else 1
         met = slots if batch.colliding else 1
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
         near_row, near = near or (counters, counters)
@@ -303,18 +305,21 @@ class _World(_Carrier):
             batch.kernels.World,
             dict(
                 **batch.constants,
-                **{k: values[k] for k in ("rest", "stiffness", "mass", "path", "table")},
-                **dict(x=xs, v=vs, pushed=empty(slots, n, 3), out=out, force=torch.zeros_like(x)),
-                **dict(free=empty(slots, n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
+                **{k: values[k][batch.constants["spring"].long()] for k in ("rest", "stiffness")},
+                **{k: values[k] for k in ("mass", "path", "table")},
+                **dict(state=state.view(-1), pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
+                **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
         )
+        self.struct.nodes = n
 
     def end(self, stretch: Stretch):
         """(x, v) at the end of a stretch."""
         slot = torch.as_tensor(stretch.count % self.slots, device=self._batch.device)[self._batch.system_of]
         node = torch.arange(len(slot), device=slot.device)
-        return self.tensors["x"][slot, node], self.tensors["v"][slot, node]
+        end = self.states[slot, node]
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous()
 
 
 class _Adjoint(_Carrier):

@@ -30,12 +30,12 @@ _BARRIER = """
     __syncthreads();
     if (blocks > 1) {
         if (threadIdx.x == 0) {
-            __threadfence();
             unsigned int *arrived = (unsigned int*)&counters.data[team];
-            atomicAdd(arrived, 1u);
-            unsigned int needed = (unsigned int)(round * blocks);
-            while (*(volatile unsigned int*)arrived < needed) {}
-            __threadfence();
+            unsigned int needed = (unsigned int)(round * blocks), seen;
+            asm volatile("red.release.gpu.global.add.u32 [%0], 1;" :: "l"(arrived) : "memory");
+            do {
+                asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(seen) : "l"(arrived) : "memory");
+            } while (seen < needed);
         }
         __syncthreads();
     }
@@ -185,6 +185,46 @@ def _lane_sum(vector, width):
     return lane_sum
 
 
+def _state(R, vec):
+    """Functions that read and write node ``k`` of the packed states: 16-byte accesses on a GPU."""
+    real = "wp::float64" if R is wp.float64 else "wp::float32"
+
+    def read(first):
+        return f"""
+#if defined(__CUDA_ARCH__)
+    if (sizeof({real}) == 4) {{
+        float4 q = ((const float4*)state.data)[2 * (size_t)k + {first // 4}];
+        return wp::vec_t<3, {real}>(q.x, q.y, q.z);
+    }}
+#endif
+    const {real} *p = state.data + 8 * (size_t)k + {first};
+    return wp::vec_t<3, {real}>(p[0], p[1], p[2]);
+"""
+
+    write = f"""
+#if defined(__CUDA_ARCH__)
+    if (sizeof({real}) == 4) {{
+        ((float4*)state.data)[2 * (size_t)k] = make_float4(x[0], x[1], x[2], 0.0f);
+        ((float4*)state.data)[2 * (size_t)k + 1] = make_float4(v[0], v[1], v[2], 0.0f);
+        return;
+    }}
+#endif
+    {real} *p = state.data + 8 * (size_t)k;
+    for (int c = 0; c < 3; ++c) {{ p[c] = x[c]; p[c + 4] = v[c]; }}
+"""
+
+    @wp.func_native(read(0))
+    def get_x(state: wp.array(dtype=R), k: int) -> vec: ...
+
+    @wp.func_native(read(4))
+    def get_v(state: wp.array(dtype=R), k: int) -> vec: ...
+
+    @wp.func_native(write)
+    def put(state: wp.array(dtype=R), k: int, x: vec, v: vec): ...
+
+    return get_x, get_v, put
+
+
 def _loader(R, vector, width, first):
     """The function that reads a stage's parameters of system ``b`` from the table."""
 
@@ -256,17 +296,20 @@ class Kernels:
 
 
 @lru_cache(maxsize=None)
-def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
+def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Kernels:
     """Compose the kernels for ``laws``. ``double``: float64 instead of float32. ``half``: each spring once (teams of one thread only).
 
-    ``lanes`` neighbouring threads (a power of two up to 32) share the springs of one particle.
+    ``lanes`` neighbouring threads (a power of two up to 32) share the springs of one particle; a block has ``threads``.
     """
     wp.init()
+    # approximate division and square root (2 units in the last place) are a GPU's fast path; float64 is for checking and stays exact
+    launch, options = (threads, 1) if threads > 1 else None, {"fast_math": not double}
     R = wp.float64 if double else wp.float32
     vec = wp.types.vector(3, R)
     pa, pb, pv, pc, pm = (wp.types.vector(laws.width(s), R) for s in ("axial", "body", "velocity", "contact", "move"))
     links = laws.start("links")
     sum3, sum_axial = _lane_sum(vec, 3), _lane_sum(pa, laws.width("axial"))
+    get_x, get_v, put = _state(R, vec)
     colliding = bool(laws.stage("contact"))
     axial, body, velocity, move, contact = _axial(laws), _body(laws), _velocity(laws), _move(laws), _contact(laws)
 
@@ -280,15 +323,15 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         own: wp.array(dtype=wp.int32)  # (nodes,) first incident end whose other node is higher: the spring counts here
         other: wp.array(dtype=wp.int32)  # (ends,) the node at the other end
         spring: wp.array(dtype=wp.int32)  # (ends,) which spring
-        rest: wp.array(dtype=R)  # (springs,) m
-        stiffness: wp.array(dtype=R)  # (springs,) N
+        rest: wp.array(dtype=R)  # (ends,) m
+        stiffness: wp.array(dtype=R)  # (ends,) N
         mass: wp.array(dtype=R)  # (nodes,) kg
         driver: wp.array(dtype=wp.int32)  # (nodes,) the controller that moves it, or -1
         lead: wp.array(dtype=wp.int32)  # (nodes,) 1: forces see the controller at the end of the substep (published), 0: at its start
         path: wp.array2d(dtype=vec)  # (T, controllers) m
         table: wp.array2d(dtype=R)  # (B, columns) parameters
-        x: wp.array2d(dtype=vec)  # (slots, nodes) m, start of the substep
-        v: wp.array2d(dtype=vec)  # (slots, nodes) m/s, start of the substep
+        state: wp.array(dtype=R)  # (slots * nodes * 8,) at the start of the substep: x [m], 0, v [m/s], 0
+        nodes: int
         pushed: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after the forces
         free: wp.array2d(dtype=vec)  # (slots, nodes) m/s, before contacts
         met: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after contacts (only with contacts)
@@ -344,21 +387,19 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         """Place driven node ``i`` for the substep that starts at ``step``."""
         c = w.driver[i]
         lead = w.lead[i]
-        w.x[slot, i] = _along(w.path, c, frame, step + lead, substeps)
         v = _speed(w.path, c, frame, step, substeps, dt)
         if lead == 1:
             v = v * share
-        w.v[slot, i] = v
+        put(w.state, slot * w.nodes + i, _along(w.path, c, frame, step + lead, substeps), v)
 
     @wp.func
     def pull(w: World, slot: int, i: int, j: int, x: vec, v: vec, p: pa):
         """Force on node ``i`` from its incident end ``j``."""
         o = w.other[j]
-        s = w.spring[j]
-        apart = w.x[slot, o] - x
+        apart = get_x(w.state, slot * w.nodes + o) - x
         length = wp.max(wp.length(apart), R(1.0e-6))
         d = apart * (R(1.0) / length)
-        return d * axial(length, wp.dot(w.v[slot, o] - v, d), w.rest[s], w.stiffness[s], p)
+        return d * axial(length, wp.dot(get_v(w.state, slot * w.nodes + o) - v, d), w.rest[j], w.stiffness[j], p)
 
     @wp.func
     def contacts(w: World, slot: int, i: int, x: vec, v: vec, p: pc):
@@ -368,15 +409,15 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         m = w.mass[i]
         for j in range(w.near_row[i], w.near_row[i + 1]):
             o = w.near[j]
-            apart = w.x[slot, o] - x
+            apart = get_x(w.state, slot * w.nodes + o) - x
             if wp.length(apart) < p[0] and wp.dot(apart, w.free[slot, o] - v) < R(-1.0e-4):
-                total += contact(x, w.x[slot, o], v, w.free[slot, o], m, w.mass[o], p)
+                total += contact(x, get_x(w.state, slot * w.nodes + o), v, w.free[slot, o], m, w.mass[o], p)
                 count += 1
         if count > 0:
             v = v + total / (R(count) * m)
         return v, count
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=launch, module_options=options)
     def forward(w: World, first: int, blocks: int, frame: int, begin: int, slots: int):
         group, thread = wp.tid()
         team = group // blocks
@@ -410,8 +451,8 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
                 v = vec()
                 f = vec()
                 if i < hi:
-                    x = w.x[here, i]
-                    v = w.v[here, i]
+                    x = get_x(w.state, here * w.nodes + i)
+                    v = get_v(w.state, here * w.nodes + i)
                     if wp.static(half):
                         f = w.force[i]
                         w.force[i] = vec()
@@ -428,35 +469,36 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
                     continue
                 if w.driver[i] >= 0:
                     follow(w, i, there, frame, step + 1, substeps, dt, share)
-                    w.free[here, i] = v
+                    if wp.static(colliding) or slots > 2:
+                        w.free[here, i] = v
                 else:
                     m = w.mass[i]
                     f += body(x, v, m, p_body)
                     v = v + f * (dt / m)
-                    w.pushed[here, i] = v
+                    if slots > 2:
+                        w.pushed[here, i] = v
                     v = velocity(v, dt, p_velocity)
-                    w.free[here, i] = v
+                    if wp.static(colliding) or slots > 2:
+                        w.free[here, i] = v
                     if wp.static(not colliding):
                         x2, v2 = move(x, v, dt, p_move)
-                        w.x[there, i] = x2
-                        w.v[there, i] = v2
+                        put(w.state, there * w.nodes + i, x2, v2)
             round += 1
             barrier(w.counters, team, blocks, round)
             if wp.static(colliding):
                 for i in range(lo + lane, hi, width):
                     if w.driver[i] < 0:
-                        x = w.x[here, i]
+                        x = get_x(w.state, here * w.nodes + i)
                         v, n = contacts(w, here, i, x, w.free[here, i], p_contact)
                         w.met[here, i] = v
                         w.hits[here, i] = n
                         x2, v2 = move(x, v, dt, p_move)
-                        w.x[there, i] = x2
-                        w.v[there, i] = v2
+                        put(w.state, there * w.nodes + i, x2, v2)
                 round += 1
                 barrier(w.counters, team, blocks, round)
             if (step + 1) % substeps == 0:
                 for i in range(lo + lane, hi, width):
-                    w.out[(step + 1) // substeps - 1, i] = w.x[there, i]
+                    w.out[(step + 1) // substeps - 1, i] = get_x(w.state, there * w.nodes + i)
 
     @wp.func
     def back_driven(w: World, a: Adjoint, i: int, frame: int, step: int, substeps: int, dt: R, share: R):
@@ -476,8 +518,8 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
     @wp.func
     def back_push(w: World, a: Adjoint, slot: int, i: int, dt: R, gx: vec, g: vec, p_velocity: pv, p_body: pb):
         """From the velocity before contacts back through drag and body forces; leaves the adjoint of the force for the springs."""
-        x = w.x[slot, i]
-        v = w.v[slot, i]
+        x = get_x(w.state, slot * w.nodes + i)
+        v = get_v(w.state, slot * w.nodes + i)
         m = w.mass[i]
         pushed = w.pushed[slot, i]
         gpush, _dt, gp, _g = wp.grad(velocity_dot)(pushed, dt, p_velocity, g)
@@ -495,16 +537,16 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         """Adjoint of the force pair of incident end ``j`` with respect to node ``i``'s position and velocity."""
         o = w.other[j]
         s = w.spring[j]
-        apart = w.x[slot, o] - x
-        u = w.v[slot, o] - v
+        apart = get_x(w.state, slot * w.nodes + o) - x
+        u = get_v(w.state, slot * w.nodes + o) - v
         length = wp.max(wp.length(apart), R(1.0e-6))
         inverse = R(1.0) / length
         d = apart * inverse
         rate = wp.dot(u, d)
         g = gf - a.force[o]
         along = wp.dot(g, d)
-        g_length, g_rate, g_rest, g_stiffness, g_p = wp.grad(tension_of)(length, rate, w.rest[s], w.stiffness[s], p)
-        tension = axial(length, rate, w.rest[s], w.stiffness[s], p)
+        g_length, g_rate, g_rest, g_stiffness, g_p = wp.grad(tension_of)(length, rate, w.rest[j], w.stiffness[j], p)
+        tension = axial(length, rate, w.rest[j], w.stiffness[j], p)
         gp = pa()
         if o > i:
             a.rest[s] = a.rest[s] + g_rest * along
@@ -514,7 +556,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         gx = d * (g_length * along) + ((g - d * along) * tension + (u - d * rate) * (g_rate * along)) * inverse
         return -gx, gv, gp
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=launch, module_options=options)
     def backward(w: World, a: Adjoint, first: int, blocks: int, frame: int, begin: int):
         group, thread = wp.tid()
         team = group // blocks
@@ -547,7 +589,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
                     v = w.free[k, i]
                     if wp.static(colliding):
                         v = w.met[k, i]
-                    gx, gv, _dt, gmove, _gx, _gv = wp.grad(move_dot)(w.x[k, i], v, dt, p_move, a.x[i], a.v[i])
+                    gx, gv, _dt, gmove, _gx, _gv = wp.grad(move_dot)(get_x(w.state, k * w.nodes + i), v, dt, p_move, a.x[i], a.v[i])
                     a.move[i] = a.move[i] + gmove
                     if wp.static(colliding):
                         a.x[i] = gx
@@ -567,8 +609,8 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
                 gv = vec()
                 gp = pa()
                 if i < hi:
-                    x = w.x[k, i]
-                    v = w.v[k, i]
+                    x = get_x(w.state, k * w.nodes + i)
+                    v = get_v(w.state, k * w.nodes + i)
                     gf = a.force[i]
                     if wp.static(half):
                         for j in range(w.own[i], w.row[i + 1]):
@@ -607,7 +649,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
         @wp.func
         def back_contacts(w: World, a: Adjoint, slot: int, i: int, dt: R, p_velocity: pv, p_body: pb, p: pc):
             """v_i' = v_i + mean_j J_ij / m_i, and J_ji = -J_ij: particle i collects its part in its own and its partners' sums."""
-            x = w.x[slot, i]
+            x = get_x(w.state, slot * w.nodes + i)
             v = w.free[slot, i]
             m = w.mass[i]
             driven = w.driver[i] >= 0
@@ -621,13 +663,13 @@ def build(laws: Laws, double: bool, half: bool, lanes: int) -> Kernels:
             for j in range(w.near_row[i], w.near_row[i + 1]):
                 o = w.near[j]
                 vo = w.free[slot, o]
-                apart = w.x[slot, o] - x
+                apart = get_x(w.state, slot * w.nodes + o) - x
                 met = wp.length(apart) < p[0] and wp.dot(apart, vo - v) < R(-1.0e-4)
                 if met and not (driven and w.driver[o] >= 0):
                     g = weight
                     if w.driver[o] < 0:
                         g = weight - a.met[o] / (R(w.hits[slot, o]) * w.mass[o])
-                    cx, _cx, cv, _cv, cm, _cm, cp, _cg = wp.grad(contact_dot)(x, w.x[slot, o], v, vo, m, w.mass[o], p, g)
+                    cx, _cx, cv, _cv, cm, _cm, cp, _cg = wp.grad(contact_dot)(x, get_x(w.state, slot * w.nodes + o), v, vo, m, w.mass[o], p, g)
                     gx += cx
                     gv += cv
                     a.mass[i] = a.mass[i] + cm
