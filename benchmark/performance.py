@@ -33,9 +33,12 @@ def block(particles: int, springs_each: float, *, frames: int = 2, seed: int = 0
     lattice = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), -1).reshape(-1, 3)[:particles]
     points = 0.005 * (lattice + rng.uniform(-0.2, 0.2, lattice.shape))
     points[:, 2] -= points[:, 2].max() + 0.01
-    # a particle in the inside of a jittered lattice has (4/3) pi r^3 neighbours within r spacings, each spring shared by two
-    radius = 0.005 * (2 * springs_each / 4.19) ** (1 / 3) * 1.06
-    springs = object_springs(points, radius=radius, max_neighbours=200)
+    # a particle in the inside of a jittered lattice has (4/3) pi r^3 neighbours within r spacings, each spring shared by two; those at
+    # the surface have fewer, so ask for more and keep the shortest
+    radius = 0.005 * (2 * springs_each / 4.19) ** (1 / 3) * 1.35
+    springs = object_springs(points, radius=radius, max_neighbours=300)
+    lengths = np.linalg.norm(points[springs[:, 0]] - points[springs[:, 1]], axis=1)
+    springs = springs[np.sort(np.argsort(lengths, kind="stable")[: round(particles * springs_each)])]
     hands = np.broadcast_to(points[[0, -1]] + [0, 0, -0.002], (frames, 2, 3)).copy()
     hands += 0.002 * np.arange(frames)[:, None, None] * rng.normal(size=3)
     pulls = controller_springs(hands[0], points, radius=0.02, max_neighbours=30) + [particles, 0]

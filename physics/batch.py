@@ -78,20 +78,17 @@ class Batch:
         kinds = [tuple(type(t) for t in s.terms) for s in systems]
         if any(k != kinds[0] for k in kinds):
             raise ValueError("all systems of a batch must have the same kinds of terms in the same order")
-        if not fps > 0:
-            raise ValueError(f"fps must be > 0, got {fps}")
+        if not 0 < fps < np.inf:
+            raise ValueError(f"fps must be > 0 and finite, got {fps}")
         self.systems = systems
         self.laws = Laws(kinds[0])
         self.device = torch.device(device)
         self.dtype = torch.float64 if double else torch.float32
-        if isinstance(substeps, str):
-            if substeps != "auto":
-                raise ValueError(f"substeps must be >= 1 or 'auto', got {substeps!r}")
-            substeps = [stable_substeps([s], 1 / fps) for s in systems]
-        self.substeps = np.broadcast_to(np.asarray(substeps, np.int64), (len(systems),))
-        if (self.substeps < 1).any():
-            raise ValueError(f"substeps must be >= 1 or 'auto', got {substeps}")
-        self.dt = np.broadcast_to(1 / (fps * self.substeps) if dt is None else np.asarray(dt, float), (len(systems),))
+        self.substeps = _each(systems, "substeps", [stable_substeps([s], 1 / fps) for s in systems] if substeps == "auto" else substeps)
+        if (self.substeps < 1).any() or (self.substeps != np.floor(self.substeps)).any():
+            raise ValueError(f"substeps must be whole numbers >= 1 or 'auto', got {substeps}")
+        self.substeps = self.substeps.astype(np.int64)
+        self.dt = 1 / (fps * self.substeps) if dt is None else _each(systems, "dt", dt)
         if not (self.dt > 0).all():
             raise ValueError(f"dt must be > 0 [s], got {dt}")
         self.columns = self.laws.columns
@@ -112,7 +109,6 @@ class Batch:
         hands = [np.flatnonzero(s.grips < 0) for s in systems]  # controllers that are nodes of their own
         nodes = sizes + [len(h) for h in hands]
         start = np.concatenate([[0], np.cumsum(nodes)])
-        spring_start = np.concatenate([[0], np.cumsum([len(s.springs) for s in systems])])
         path_start = np.concatenate([[0], np.cumsum([s.controllers.shape[1] for s in systems])])
         frames = max(len(s.controllers) for s in systems)
         count = int(start[-1])
@@ -137,11 +133,14 @@ class Batch:
             raise ValueError("a spring ties a particle to itself (a controller spring to the particle that the controller grips?)")
         here, other = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
         spring = np.tile(np.arange(len(ends)), 2)
-        order = np.lexsort((spring, other > here, here))
+        if not self.laws.stage("links"):  # without their term, controllers pull on nothing
+            kept = ~np.isin(np.arange(count), np.flatnonzero(lead))[np.stack([here, other])].any(0)
+            here, other, spring = here[kept], other[kept], spring[kept]
+        order = np.lexsort((other, here))  # own ends last; near ones together
         row = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=count))])
         own = row[1:] - np.bincount(here[other > here], minlength=count)
         self.node_count, self.frame_count = count, frames
-        self.starts, self.sizes, self.spring_starts, self.path_starts = start, sizes, spring_start, path_start
+        self.starts, self.sizes = start, sizes
         integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
         self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()} | {"dt": self._real(self.dt)}
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
@@ -260,8 +259,9 @@ class Stretch:
     count: np.ndarray
 
     @property
-    def longest(self) -> int:
-        return int(self.count.max())
+    def history(self) -> int:
+        """Slots that keep every state; never two, which means to keep none."""
+        return max(3, int(self.count.max()) + 1)
 
 
 class _Carrier:
@@ -360,7 +360,7 @@ class _March(torch.autograd.Function):
         for stretch in stretches:
             if batch.colliding and stretch.begin == 0:
                 near = candidates(batch, x, values["table"])
-            world = _World(batch, values, x, v, near, stretch.longest + 1 if keep else 2, out[stretch.frame :])
+            world = _World(batch, values, x, v, near, stretch.history if keep else 2, out[stretch.frame :])
             ctx.starts.append((x, v, near))
             batch.forward(world, frame, stretch)
             x, v = world.end(stretch)
@@ -377,12 +377,21 @@ class _March(torch.autograd.Function):
         for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             world = ctx.world
             if world is None:
-                world = _World(batch, values, *start, stretch.longest + 1, scratch[stretch.frame :])
+                world = _World(batch, values, *start, stretch.history, scratch[stretch.frame :])
                 batch.forward(world, ctx.frame, stretch)
             adjoint.set(out=given[stretch.frame :])
             batch.backward(world, adjoint, ctx.frame, stretch)
         gradients = adjoint.gradients()
         return (None, None, None, *(gradients[f.name] for f in fields(Inputs)))
+
+
+def _each(systems, name, value):
+    """``value`` as one number for each system."""
+    try:
+        found = np.asarray(value, float)
+        return np.broadcast_to(found, (len(systems),)).copy()
+    except ValueError:
+        raise ValueError(f"{name} must be a number or one for each of the {len(systems)} systems, got {value!r}") from None
 
 
 def first_bad(positions):

@@ -225,6 +225,25 @@ def _state(R, vec):
     return get_x, get_v, put
 
 
+def _give(dtype, width):
+    """The function that adds to an element that this thread alone writes to. On a GPU it does not wait for the old value."""
+    element = "" if width == 0 else "[c]"
+    snippet = f"""
+    for (int c = 0; c < {max(1, width)}; ++c) {{
+#if defined(__CUDA_ARCH__)
+        atomicAdd(&array.data[i]{element}, value{element});
+#else
+        array.data[i]{element} += value{element};
+#endif
+    }}
+"""
+
+    @wp.func_native(snippet)
+    def give(array: wp.array(dtype=dtype), i: int, value: dtype): ...
+
+    return give
+
+
 def _loader(R, vector, width, first):
     """The function that reads a stage's parameters of system ``b`` from the table."""
 
@@ -310,6 +329,10 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
     links = laws.start("links")
     sum3, sum_axial = _lane_sum(vec, 3), _lane_sum(pa, laws.width("axial"))
     get_x, get_v, put = _state(R, vec)
+    give, give3 = _give(R, 0), _give(vec, 3)
+    give_axial, give_body, give_velocity, give_contact, give_move = (
+        _give(p, laws.width(s)) for p, s in zip((pa, pb, pv, pc, pm), STAGES[:5], strict=True)
+    )
     colliding = bool(laws.stage("contact"))
     axial, body, velocity, move, contact = _axial(laws), _body(laws), _velocity(laws), _move(laws), _contact(laws)
 
@@ -393,13 +416,28 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
         put(w.state, slot * w.nodes + i, _along(w.path, c, frame, step + lead, substeps), v)
 
     @wp.func
-    def pull(w: World, slot: int, i: int, j: int, x: vec, v: vec, p: pa):
-        """Force on node ``i`` from its incident end ``j``."""
-        o = w.other[j]
+    def _node(w: World, i: int, hi: int, part: int, half: bool):
+        """(first, last) incident end that a thread visits at node ``i``, the node's driver and mass."""
+        if i >= hi:
+            return 0, 0, -1, R(1.0)
+        if half:
+            return w.own[i], w.row[i + 1], w.driver[i], w.mass[i]
+        return w.row[i] + part, w.row[i + 1], w.driver[i], w.mass[i]
+
+    @wp.func
+    def _end(w: World, j: int, last: int):
+        """(other node, rest length, stiffness) of incident end ``j``."""
+        if j >= last:
+            return 0, R(1.0), R(0.0)
+        return w.other[j], w.rest[j], w.stiffness[j]
+
+    @wp.func
+    def pull(w: World, slot: int, o: int, rest: R, stiffness: R, x: vec, v: vec, p: pa):
+        """Force on a node at (x, v) from a spring to node ``o``."""
         apart = get_x(w.state, slot * w.nodes + o) - x
         length = wp.max(wp.length(apart), R(1.0e-6))
         d = apart * (R(1.0) / length)
-        return d * axial(length, wp.dot(get_v(w.state, slot * w.nodes + o) - v, d), w.rest[j], w.stiffness[j], p)
+        return d * axial(length, wp.dot(get_v(w.state, slot * w.nodes + o) - v, d), rest, stiffness, p)
 
     @wp.func
     def contacts(w: World, slot: int, i: int, x: vec, v: vec, p: pc):
@@ -439,6 +477,9 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
         for i in range(lo + lane, hi, width):
             if w.driver[i] >= 0:
                 follow(w, i, 0, frame, begin, substeps, dt, share)
+        # what the first round of every substep needs of the constants waits in registers: after a barrier they would be far away
+        first0, last0, driver0, m0 = _node(w, lo + lane // lanes, hi, lane % lanes, half)
+        o0, rest0, stiffness0 = _end(w, first0, last0)
         round += 1
         barrier(w.counters, team, blocks, round)
         for k in range(count):
@@ -447,6 +488,12 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
             there = (k + 1) % slots
             for base in range(lo, hi, width // lanes):
                 i = base + lane // lanes
+                if base > lo:
+                    first, last, driver, m = _node(w, i, hi, lane % lanes, half)
+                    o, rest, stiffness = _end(w, first, last)
+                else:
+                    first, last, driver, m = first0, last0, driver0, m0
+                    o, rest, stiffness = o0, rest0, stiffness0
                 x = vec()
                 v = vec()
                 f = vec()
@@ -456,23 +503,23 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
                     if wp.static(half):
                         f = w.force[i]
                         w.force[i] = vec()
-                        for j in range(w.own[i], w.row[i + 1]):
-                            g = pull(w, here, i, j, x, v, p_axial)
+                        for j in range(first, last):
                             o = w.other[j]
+                            g = pull(w, here, o, w.rest[j], w.stiffness[j], x, v, p_axial)
                             f += g
                             w.force[o] = w.force[o] - g
-                    elif w.driver[i] < 0:
-                        for j in range(w.row[i] + lane % lanes, w.row[i + 1], lanes):
-                            f += pull(w, here, i, j, x, v, p_axial)
+                    elif driver < 0 and first < last:
+                        f = pull(w, here, o, rest, stiffness, x, v, p_axial)
+                        for j in range(first + lanes, last, lanes):
+                            f += pull(w, here, w.other[j], w.rest[j], w.stiffness[j], x, v, p_axial)
                 f = sum3(f, lanes)
                 if i >= hi or lane % lanes > 0:
                     continue
-                if w.driver[i] >= 0:
+                if driver >= 0:
                     follow(w, i, there, frame, step + 1, substeps, dt, share)
                     if wp.static(colliding) or slots > 2:
                         w.free[here, i] = v
                 else:
-                    m = w.mass[i]
                     f += body(x, v, m, p_body)
                     v = v + f * (dt / m)
                     if slots > 2:
@@ -507,7 +554,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
         lead = w.lead[i]
         gv = a.v[i]
         if lead == 1:
-            a.links[i] = a.links[i] + wp.dot(gv, _speed(w.path, c, frame, step, substeps, dt))
+            give(a.links, i, wp.dot(gv, _speed(w.path, c, frame, step, substeps, dt)))
             gv = gv * share
         _give_path(a.path, c, frame, step + lead, substeps, a.x[i])
         _give_speed(a.path, c, frame, step, substeps, dt, gv)
@@ -523,11 +570,11 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
         m = w.mass[i]
         pushed = w.pushed[slot, i]
         gpush, _dt, gp, _g = wp.grad(velocity_dot)(pushed, dt, p_velocity, g)
-        a.velocity[i] = a.velocity[i] + gp
+        give_velocity(a.velocity, i, gp)
         gf = gpush * (dt / m)
         bx, bv, bm, bp, _bg = wp.grad(body_dot)(x, v, m, p_body, gf)
-        a.body[i] = a.body[i] + bp
-        a.mass[i] = a.mass[i] + bm - wp.dot(gpush, pushed - v) / m
+        give_body(a.body, i, bp)
+        give(a.mass, i, bm - wp.dot(gpush, pushed - v) / m)
         a.force[i] = gf
         a.x[i] = gx + bx
         a.v[i] = gpush + bv
@@ -549,8 +596,8 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
         tension = axial(length, rate, w.rest[j], w.stiffness[j], p)
         gp = pa()
         if o > i:
-            a.rest[s] = a.rest[s] + g_rest * along
-            a.stiffness[s] = a.stiffness[s] + g_stiffness * along
+            give(a.rest, s, g_rest * along)
+            give(a.stiffness, s, g_stiffness * along)
             gp = g_p * along
         gv = d * (-g_rate * along)
         gx = d * (g_length * along) + ((g - d * along) * tension + (u - d * rate) * (g_rate * along)) * inverse
@@ -590,7 +637,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
                     if wp.static(colliding):
                         v = w.met[k, i]
                     gx, gv, _dt, gmove, _gx, _gv = wp.grad(move_dot)(get_x(w.state, k * w.nodes + i), v, dt, p_move, a.x[i], a.v[i])
-                    a.move[i] = a.move[i] + gmove
+                    give_move(a.move, i, gmove)
                     if wp.static(colliding):
                         a.x[i] = gx
                         a.met[i] = gv
@@ -631,9 +678,9 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
                 gv = sum3(gv, lanes)
                 gp = sum_axial(gp, lanes)
                 if i < hi and lane % lanes == 0:
-                    a.x[i] = a.x[i] + gx
-                    a.v[i] = a.v[i] + gv
-                    a.axial[i] = a.axial[i] + gp
+                    give3(a.x, i, gx)
+                    give3(a.v, i, gv)
+                    give_axial(a.axial, i, gp)
             round += 1
             barrier(w.counters, team, blocks, round)
         for i in range(lo + lane, hi, width):
@@ -657,7 +704,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
             weight = vec()
             if not driven and w.hits[slot, i] > 0:
                 weight = mine / (R(w.hits[slot, i]) * m)
-                a.mass[i] = a.mass[i] - wp.dot(mine, w.met[slot, i] - v) / m
+                give(a.mass, i, -wp.dot(mine, w.met[slot, i] - v) / m)
             gx = vec()
             gv = vec()
             for j in range(w.near_row[i], w.near_row[i + 1]):
@@ -672,9 +719,9 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
                     cx, _cx, cv, _cv, cm, _cm, cp, _cg = wp.grad(contact_dot)(x, get_x(w.state, slot * w.nodes + o), v, vo, m, w.mass[o], p, g)
                     gx += cx
                     gv += cv
-                    a.mass[i] = a.mass[i] + cm
+                    give(a.mass, i, cm)
                     if not driven and (o > i or w.driver[o] >= 0):
-                        a.contact[i] = a.contact[i] + cp
+                        give_contact(a.contact, i, cp)
             if driven:
                 a.x[i] = gx
                 a.v[i] = gv
