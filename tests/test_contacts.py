@@ -1,5 +1,7 @@
 """Contact candidates against the definition: all pairs of one system with |x_j - x_i| < distance, in ascending order."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -33,7 +35,7 @@ def find(systems, x=None, *, double=True):
     row, near = candidates(batch, nodes, batch.inputs.table)
     assert row.dtype == near.dtype == torch.int32 and row.shape == (batch.node_count + 1,)
     assert row[0] == 0 and row[-1] == len(near) and (row.diff() >= 0).all()
-    return batch, nodes.numpy(), [near[a:b].tolist() for a, b in zip(row[:-1], row[1:], strict=True)]
+    return batch, nodes.numpy(), [near[a:b].tolist() for a, b in pairwise(row)]
 
 
 def check(batch, nodes, found, systems):
