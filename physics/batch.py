@@ -13,7 +13,8 @@ import torch
 import warp as wp
 
 from .contacts import candidates
-from .kernels import Laws, build
+from .kernels import build
+from .laws import Laws
 from .stability import stable_substeps
 from .system import System
 from .terms.base import STAGES
@@ -336,7 +337,7 @@ class _Adjoint(_Carrier):
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
-            dict(x=x.contiguous().clone(), v=v.contiguous().clone(), met=zeros(3), force=zeros(3), out=out, links=zeros(1)[:, 0], **stages, **inputs),
+            dict(x=x.contiguous().clone(), v=v.contiguous().clone(), met=zeros(3), force=torch.stack([zeros(3)] * 2), out=out, links=zeros(1)[:, 0], **stages, **inputs),
         )
 
     def gradients(self):

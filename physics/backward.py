@@ -1,0 +1,269 @@
+"""The adjoint kernel: the forward kernel's phases in reverse, from recorded states, with each law's derivative from ``wp.grad``.
+
+A force law F = T(l, l') d along a spring gives its ends opposite forces, so node i needs of each of its springs only w = g_i - g_o, the
+difference of the force adjoints at the two ends: another gather, without contention. The springs' phase of substep k and the node's own phase
+of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
+
+Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` before it meets it plainly; this file keeps to that order.
+"""
+
+import warp as wp
+
+from .forward import node_functions
+from .native import barrier
+from .paths import give_path, give_speed, speed
+
+__all__ = ["make_backward"]
+
+
+def make_backward(kit):
+    """The kernel that pulls ``a`` back through the ``w.count`` substeps recorded in ``w``, the first being ``begin`` after ``frame``."""
+    R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
+    half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
+    pa, pb, pv, pc, pm = kit.vectors.values()
+    load_axial, load_body, load_velocity, load_contact, load_move = kit.load.values()
+    get_x, get_v, sum3, sum_axial, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.give
+    node, end = node_functions(kit)
+    back_move = _back_move(kit)
+    back_push = _back_push(kit)
+    back_pull = _back_pull(kit)
+    back_contacts = _back_contacts(kit, back_push) if colliding else None
+    give_axial = kit.give_all["axial"]
+
+    @wp.func
+    def back_driven(w: World, a: Adjoint, i: int, frame: int, step: int, substeps: int, dt: R, share: R, gx: vec, gv: vec):
+        """Hand the adjoint of driven node ``i``, placed for the substep that starts at ``step``, to its path."""
+        c = w.driver[i]
+        lead = w.lead[i]
+        if lead == 1:
+            give(a.links, i, wp.dot(gv, speed(w.path, c, frame, step, substeps, dt)))
+            gv = gv * share
+        give_path(a.path, c, frame, step + lead, substeps, gx)
+        give_speed(a.path, c, frame, step, substeps, dt, gv)
+        a.x[i] = vec()
+        a.v[i] = vec()
+
+    @kit.kernel
+    def backward(w: World, a: Adjoint, first: int, blocks: int, frame: int, begin: int):
+        group, thread = wp.tid()
+        team = group // blocks
+        lane = (group % blocks) * wp.block_dim() + thread
+        b = first + team
+        substeps = w.substeps[b]
+        count = w.count[b]
+        dt = w.dt[b]
+        lo = w.start[b]
+        hi = w.start[b + 1]
+        width = blocks * wp.block_dim()
+        p_axial = load_axial(w.table, b)
+        p_body = load_body(w.table, b)
+        p_velocity = load_velocity(w.table, b)
+        p_contact = load_contact(w.table, b)
+        p_move = load_move(w.table, b)
+        share = w.table[b, links]
+        first0, last0, _driver, _m = node(w, lo + lane // lanes, hi, lane % lanes, half)
+        o0, rest0, stiffness0 = end(w, first0, last0)
+        round = int(0)
+        for back in range(count + 1):
+            k = count - back  # springs of substep k, then what is the node's own of substep k - 1
+            if wp.static(colliding):
+                if k < count:
+                    for i in range(lo + lane, hi, width):
+                        back_contacts(w, a, k, i, dt, p_velocity, p_body, p_contact)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            for base in range(lo, hi, width // lanes):
+                i = base + lane // lanes
+                if base > lo:
+                    first, last, _d, _n = node(w, i, hi, lane % lanes, half)
+                    o, rest, stiffness = end(w, first, last)
+                else:
+                    first, last = first0, last0
+                    o, rest, stiffness = o0, rest0, stiffness0
+                gx = vec()
+                gv = vec()
+                gp = pa()
+                if k < count and i < hi and first < last:
+                    x = get_x(w.state, k * w.nodes + i)
+                    v = get_v(w.state, k * w.nodes + i)
+                    gf = a.force[k % 2, i]
+                    if wp.static(half):
+                        for j in range(first, last):
+                            o = w.other[j]
+                            dx, dv, dp = back_pull(w, a, k, i, o, w.spring[j], w.rest[j], w.stiffness[j], x, v, gf, p_axial)
+                            gx += dx
+                            gv += dv
+                            gp += dp
+                            a.x[o] = a.x[o] - dx
+                            a.v[o] = a.v[o] - dv
+                    else:
+                        gx, gv, gp = back_pull(w, a, k, i, o, w.spring[first], rest, stiffness, x, v, gf, p_axial)
+                        for j in range(first + lanes, last, lanes):
+                            dx, dv, dp = back_pull(w, a, k, i, w.other[j], w.spring[j], w.rest[j], w.stiffness[j], x, v, gf, p_axial)
+                            gx += dx
+                            gv += dv
+                            gp += dp
+                gx = sum3(gx, lanes)
+                gv = sum3(gv, lanes)
+                gp = sum_axial(gp, lanes)
+                if i >= hi or lane % lanes > 0:
+                    continue
+                give_axial(a.axial, i, gp)
+                gx += a.x[i]
+                gv += a.v[i]
+                step = begin + k
+                if k > 0 and step % substeps == 0:
+                    gx += a.out[step // substeps - 1, i]
+                if w.driver[i] >= 0:
+                    back_driven(w, a, i, frame, step, substeps, dt, share, gx, gv)
+                    if wp.static(colliding):
+                        a.met[i] = vec()
+                elif k == 0:
+                    a.x[i] = gx
+                    a.v[i] = gv
+                else:
+                    gx, gv = back_move(w, a, k - 1, i, dt, gx, gv, p_move)
+                    if wp.static(colliding):
+                        a.x[i] = gx
+                        a.met[i] = gv
+                    else:
+                        back_push(w, a, k - 1, i, dt, gx, gv, p_velocity, p_body)
+            round += 1
+            barrier(w.counters, team, blocks, round)
+
+    return backward
+
+
+def _back_move(kit):
+    R, vec, World, Adjoint, pm = kit.R, kit.vec, kit.World, kit.Adjoint, kit.vectors["move"]
+    colliding, move, get_x, give_move = kit.colliding, kit.laws.move, kit.get_x, kit.give_all["move"]
+
+    @wp.func
+    def move_dot(x: vec, v: vec, dt: R, p: pm, gx: vec, gv: vec):
+        x2, v2 = move(x, v, dt, p)
+        return wp.dot(gx, x2) + wp.dot(gv, v2)
+
+    @wp.func
+    def back_move(w: World, a: Adjoint, slot: int, i: int, dt: R, gx: vec, gv: vec, p: pm):
+        """From the state after the move to position and velocity before it."""
+        v = w.free[slot, i]
+        if wp.static(colliding):
+            v = w.met[slot, i]
+        hx, hv, _dt, gp, _gx, _gv = wp.grad(move_dot)(get_x(w.state, slot * w.nodes + i), v, dt, p, gx, gv)
+        give_move(a.move, i, gp)
+        return hx, hv
+
+    return back_move
+
+
+def _back_push(kit):
+    R, vec, World, Adjoint, pv, pb = kit.R, kit.vec, kit.World, kit.Adjoint, kit.vectors["velocity"], kit.vectors["body"]
+    velocity, body, get_x, get_v, give = kit.laws.velocity, kit.laws.body, kit.get_x, kit.get_v, kit.give
+    give_velocity, give_body = kit.give_all["velocity"], kit.give_all["body"]
+
+    @wp.func
+    def velocity_dot(v: vec, dt: R, p: pv, g: vec):
+        return wp.dot(g, velocity(v, dt, p))
+
+    @wp.func
+    def body_dot(x: vec, v: vec, m: R, p: pb, g: vec):
+        return wp.dot(g, body(x, v, m, p))
+
+    @wp.func
+    def back_push(w: World, a: Adjoint, slot: int, i: int, dt: R, gx: vec, g: vec, p_velocity: pv, p_body: pb):
+        """From the velocity before contacts back through drag and body forces; leaves the adjoint of the force for the springs."""
+        x = get_x(w.state, slot * w.nodes + i)
+        v = get_v(w.state, slot * w.nodes + i)
+        m = w.mass[i]
+        pushed = w.pushed[slot, i]
+        gpush, _dt, gp, _g = wp.grad(velocity_dot)(pushed, dt, p_velocity, g)
+        give_velocity(a.velocity, i, gp)
+        gf = gpush * (dt / m)
+        bx, bv, bm, bp, _bg = wp.grad(body_dot)(x, v, m, p_body, gf)
+        give_body(a.body, i, bp)
+        give(a.mass, i, bm - wp.dot(gpush, pushed - v) / m)
+        a.force[slot % 2, i] = gf
+        a.x[i] = gx + bx
+        a.v[i] = gpush + bv
+
+    return back_push
+
+
+def _back_pull(kit):
+    R, vec, World, Adjoint, pa = kit.R, kit.vec, kit.World, kit.Adjoint, kit.vectors["axial"]
+    axial, get_x, get_v, give = kit.laws.axial, kit.get_x, kit.get_v, kit.give
+
+    @wp.func
+    def tension_of(length: R, rate: R, rest: R, stiffness: R, p: pa):
+        return axial(length, rate, rest, stiffness, p)
+
+    @wp.func
+    def back_pull(w: World, a: Adjoint, slot: int, i: int, o: int, s: int, rest: R, stiffness: R, x: vec, v: vec, gf: vec, p: pa):
+        """Adjoint of the force pair of spring ``s`` to node ``o`` with respect to node ``i``'s position and velocity, and to parameters."""
+        apart = get_x(w.state, slot * w.nodes + o) - x
+        u = get_v(w.state, slot * w.nodes + o) - v
+        length = wp.max(wp.length(apart), R(1.0e-6))
+        inverse = R(1.0) / length
+        d = apart * inverse
+        rate = wp.dot(u, d)
+        g = gf - a.force[slot % 2, o]
+        along = wp.dot(g, d)
+        g_length, g_rate, g_rest, g_stiffness, g_p = wp.grad(tension_of)(length, rate, rest, stiffness, p)
+        tension = axial(length, rate, rest, stiffness, p)
+        gp = pa()
+        if o > i:
+            give(a.rest, s, g_rest * along)
+            give(a.stiffness, s, g_stiffness * along)
+            gp = g_p * along
+        gv = d * (-g_rate * along)
+        gx = d * (g_length * along) + ((g - d * along) * tension + (u - d * rate) * (g_rate * along)) * inverse
+        return -gx, gv, gp
+
+    return back_pull
+
+
+def _back_contacts(kit, back_push):
+    R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
+    pv, pb, pc = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["contact"]
+    contact, get_x, give, give_contact = kit.laws.contact, kit.get_x, kit.give, kit.give_all["contact"]
+
+    @wp.func
+    def contact_dot(xi: vec, xj: vec, vi: vec, vj: vec, mi: R, mj: R, p: pc, g: vec):
+        return wp.dot(g, contact(xi, xj, vi, vj, mi, mj, p))
+
+    @wp.func
+    def back_contacts(w: World, a: Adjoint, slot: int, i: int, dt: R, p_velocity: pv, p_body: pb, p: pc):
+        """v_i' = v_i + mean_j J_ij / m_i, and J_ji = -J_ij: particle i collects its part in its own and its partners' sums."""
+        x = get_x(w.state, slot * w.nodes + i)
+        v = w.free[slot, i]
+        m = w.mass[i]
+        driven = w.driver[i] >= 0
+        mine = a.met[i]
+        weight = vec()
+        if not driven and w.hits[slot, i] > 0:
+            weight = mine / (R(w.hits[slot, i]) * m)
+            give(a.mass, i, -wp.dot(mine, w.met[slot, i] - v) / m)
+        gx = vec()
+        gv = vec()
+        for j in range(w.near_row[i], w.near_row[i + 1]):
+            o = w.near[j]
+            xo = get_x(w.state, slot * w.nodes + o)
+            vo = w.free[slot, o]
+            met = wp.length(xo - x) < p[0] and wp.dot(xo - x, vo - v) < R(-1.0e-4)
+            if met and not (driven and w.driver[o] >= 0):
+                g = weight
+                if w.driver[o] < 0:
+                    g = weight - a.met[o] / (R(w.hits[slot, o]) * w.mass[o])
+                hx, _hx, hv, _hv, hm, _hm, hp, _hg = wp.grad(contact_dot)(x, xo, v, vo, m, w.mass[o], p, g)
+                gx += hx
+                gv += hv
+                give(a.mass, i, hm)
+                if not driven and (o > i or w.driver[o] >= 0):
+                    give_contact(a.contact, i, hp)
+        if driven:
+            a.x[i] = gx
+            a.v[i] = gv
+        else:
+            back_push(w, a, slot, i, dt, a.x[i] + gx, mine + gv, p_velocity, p_body)
+
+    return back_contacts

@@ -1,0 +1,169 @@
+"""The forward kernel. One substep: forces, velocity, contacts, move; see ``physics.terms.base`` for the order."""
+
+import warp as wp
+
+from .native import barrier
+from .paths import along, speed
+
+__all__ = ["make_forward", "node_functions"]
+
+
+def node_functions(kit):
+    """Functions that tell a thread what it works on: (node, end)."""
+    R, World = kit.R, kit.World
+
+    @wp.func
+    def node(w: World, i: int, hi: int, part: int, half: bool):
+        """(first, last) incident end that a thread visits at node ``i``, the node's driver and mass."""
+        if i >= hi:
+            return 0, 0, -1, R(1.0)
+        if half:
+            return w.own[i], w.row[i + 1], w.driver[i], w.mass[i]
+        return w.row[i] + part, w.row[i + 1], w.driver[i], w.mass[i]
+
+    @wp.func
+    def end(w: World, j: int, last: int):
+        """(other node, rest length, stiffness) of incident end ``j``."""
+        if j >= last:
+            return 0, R(1.0), R(0.0)
+        return w.other[j], w.rest[j], w.stiffness[j]
+
+    return node, end
+
+
+def make_forward(kit):
+    """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first being ``begin`` after ``frame``."""
+    R, vec, World = kit.R, kit.vec, kit.World
+    half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
+    pa, pc = kit.vectors["axial"], kit.vectors["contact"]
+    axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
+    load_axial, load_body, load_velocity, load_contact, load_move = kit.load.values()
+    get_x, get_v, put, sum3 = kit.get_x, kit.get_v, kit.put, kit.sum3
+    node, end = node_functions(kit)
+
+    @wp.func
+    def follow(w: World, i: int, slot: int, frame: int, step: int, substeps: int, dt: R, share: R):
+        """Place driven node ``i`` for the substep that starts at ``step``."""
+        c = w.driver[i]
+        lead = w.lead[i]
+        v = speed(w.path, c, frame, step, substeps, dt)
+        if lead == 1:
+            v = v * share
+        put(w.state, slot * w.nodes + i, along(w.path, c, frame, step + lead, substeps), v)
+
+    @wp.func
+    def pull(w: World, slot: int, o: int, rest: R, stiffness: R, x: vec, v: vec, p: pa):
+        """Force on a node at (x, v) from a spring to node ``o``."""
+        apart = get_x(w.state, slot * w.nodes + o) - x
+        length = wp.max(wp.length(apart), R(1.0e-6))
+        d = apart * (R(1.0) / length)
+        return d * axial(length, wp.dot(get_v(w.state, slot * w.nodes + o) - v, d), rest, stiffness, p)
+
+    @wp.func
+    def contacts(w: World, slot: int, i: int, x: vec, v: vec, p: pc):
+        """Velocity of particle ``i`` after its contacts, and how many it had."""
+        total = vec()
+        count = int(0)
+        m = w.mass[i]
+        for j in range(w.near_row[i], w.near_row[i + 1]):
+            o = w.near[j]
+            apart = get_x(w.state, slot * w.nodes + o) - x
+            if wp.length(apart) < p[0] and wp.dot(apart, w.free[slot, o] - v) < R(-1.0e-4):
+                total += contact(x, get_x(w.state, slot * w.nodes + o), v, w.free[slot, o], m, w.mass[o], p)
+                count += 1
+        if count > 0:
+            v = v + total / (R(count) * m)
+        return v, count
+
+    @kit.kernel
+    def forward(w: World, first: int, blocks: int, frame: int, begin: int, slots: int):
+        group, thread = wp.tid()
+        team = group // blocks
+        lane = (group % blocks) * wp.block_dim() + thread
+        b = first + team
+        substeps = w.substeps[b]
+        dt = w.dt[b]
+        lo = w.start[b]
+        hi = w.start[b + 1]
+        width = blocks * wp.block_dim()
+        p_axial = load_axial(w.table, b)
+        p_body = load_body(w.table, b)
+        p_velocity = load_velocity(w.table, b)
+        p_contact = load_contact(w.table, b)
+        p_move = load_move(w.table, b)
+        share = w.table[b, links]
+        record = slots > 2
+        for i in range(lo + lane, hi, width):
+            if w.driver[i] >= 0:
+                follow(w, i, 0, frame, begin, substeps, dt, share)
+        # what the first round of every substep needs of the constants waits in registers: after a barrier they would be far away
+        first0, last0, driver0, m0 = node(w, lo + lane // lanes, hi, lane % lanes, half)
+        o0, rest0, stiffness0 = end(w, first0, last0)
+        round = int(1)
+        barrier(w.counters, team, blocks, round)
+        for k in range(w.count[b]):
+            step = begin + k
+            here = k % slots
+            there = (k + 1) % slots
+            for base in range(lo, hi, width // lanes):
+                i = base + lane // lanes
+                if base > lo:
+                    first, last, driver, m = node(w, i, hi, lane % lanes, half)
+                    o, rest, stiffness = end(w, first, last)
+                else:
+                    first, last, driver, m = first0, last0, driver0, m0
+                    o, rest, stiffness = o0, rest0, stiffness0
+                x = vec()
+                v = vec()
+                f = vec()
+                if i < hi:
+                    x = get_x(w.state, here * w.nodes + i)
+                    v = get_v(w.state, here * w.nodes + i)
+                    if wp.static(half):
+                        f = w.force[i]
+                        w.force[i] = vec()
+                        for j in range(first, last):
+                            o = w.other[j]
+                            g = pull(w, here, o, w.rest[j], w.stiffness[j], x, v, p_axial)
+                            f += g
+                            w.force[o] = w.force[o] - g
+                    elif driver < 0 and first < last:
+                        f = pull(w, here, o, rest, stiffness, x, v, p_axial)
+                        for j in range(first + lanes, last, lanes):
+                            f += pull(w, here, w.other[j], w.rest[j], w.stiffness[j], x, v, p_axial)
+                f = sum3(f, lanes)
+                if i >= hi or lane % lanes > 0:
+                    continue
+                if driver >= 0:
+                    follow(w, i, there, frame, step + 1, substeps, dt, share)
+                    if wp.static(colliding) or record:
+                        w.free[here, i] = v
+                else:
+                    f += body(x, v, m, p_body)
+                    v = v + f * (dt / m)
+                    if record:
+                        w.pushed[here, i] = v
+                    v = velocity(v, dt, p_velocity)
+                    if wp.static(colliding) or record:
+                        w.free[here, i] = v
+                    if wp.static(not colliding):
+                        x2, v2 = move(x, v, dt, p_move)
+                        put(w.state, there * w.nodes + i, x2, v2)
+            round += 1
+            barrier(w.counters, team, blocks, round)
+            if wp.static(colliding):
+                for i in range(lo + lane, hi, width):
+                    if w.driver[i] < 0:
+                        x = get_x(w.state, here * w.nodes + i)
+                        v, n = contacts(w, here, i, x, w.free[here, i], p_contact)
+                        w.met[here, i] = v
+                        w.hits[here, i] = n
+                        x2, v2 = move(x, v, dt, p_move)
+                        put(w.state, there * w.nodes + i, x2, v2)
+                round += 1
+                barrier(w.counters, team, blocks, round)
+            if (step + 1) % substeps == 0:
+                for i in range(lo + lane, hi, width):
+                    w.out[(step + 1) // substeps - 1, i] = get_x(w.state, there * w.nodes + i)
+
+    return forward

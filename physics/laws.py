@@ -1,0 +1,136 @@
+"""The laws of a list of terms, fused stage by stage into one function each."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from .terms.base import STAGES, Term
+
+__all__ = ["Laws"]
+
+
+@dataclass(frozen=True)
+class Laws:
+    """The laws of a list of terms, fused by stage, and where each term's parameters start in its stage's vector."""
+
+    terms: tuple[type[Term], ...]
+
+    def stage(self, stage: str) -> list[tuple[type[Term], int]]:
+        """(term, offset of its first parameter) of every term at ``stage``, in order."""
+        found, offset = [], 0
+        for term in self.terms:
+            if term.stage == stage:
+                found.append((term, offset))
+                offset += len(term.parameters)
+        return found
+
+    def width(self, stage: str) -> int:
+        """Length of the stage's parameter vector, at least 1 because a Warp vector cannot be empty."""
+        return max(1, sum(len(t.parameters) for t, _ in self.stage(stage)))
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the parameter table's columns: stage by stage, padded where a stage has none."""
+        names = []
+        for stage in STAGES:
+            own = [p.name for t, _ in self.stage(stage) for p in t.parameters]
+            names += own or [f"_{stage}"]
+        return names
+
+    def start(self, stage: str) -> int:
+        """The stage's first column."""
+        return sum(self.width(s) for s in STAGES[: STAGES.index(stage)])
+
+    def fuse(self) -> SimpleNamespace:
+        """One Warp function, generic in its precision, for each stage: axial, body, velocity, contact (None without one) and move."""
+        return SimpleNamespace(axial=_axial(self), body=_body(self), velocity=_velocity(self), contact=_contact(self), move=_move(self))
+
+
+def _axial(laws):
+    @wp.func
+    def total(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any):
+        return type(length)(0.0)
+
+    for term, offset in laws.stage("axial"):
+        total = _plus_axial(total, term.law, offset)
+    return total
+
+
+def _plus_axial(before, law, offset):
+    @wp.func
+    def total(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any):
+        return before(length, rate, rest, stiffness, p) + law(length, rate, rest, stiffness, p, offset)
+
+    return total
+
+
+def _body(laws):
+    @wp.func
+    def total(x: Any, v: Any, m: Any, p: Any):
+        return type(x)()
+
+    for term, offset in laws.stage("body"):
+        total = _plus_body(total, term.law, offset)
+    return total
+
+
+def _plus_body(before, law, offset):
+    @wp.func
+    def total(x: Any, v: Any, m: Any, p: Any):
+        return before(x, v, m, p) + law(x, v, m, p, offset)
+
+    return total
+
+
+def _velocity(laws):
+    @wp.func
+    def chain(v: Any, dt: Any, p: Any):
+        return v
+
+    for term, offset in laws.stage("velocity"):
+        chain = _then_velocity(chain, term.law, offset)
+    return chain
+
+
+def _then_velocity(before, law, offset):
+    @wp.func
+    def chain(v: Any, dt: Any, p: Any):
+        return law(before(v, dt, p), dt, p, offset)
+
+    return chain
+
+
+def _move(laws):
+    found = laws.stage("move")
+    if len(found) > 1:
+        raise ValueError(f"a system can have one term that moves particles, got {', '.join(t.name for t, _ in found)}")
+    if found:
+        law = found[0][0].law
+
+        @wp.func
+        def move(x: Any, v: Any, dt: Any, p: Any):
+            return law(x, v, dt, p, 0)
+    else:
+
+        @wp.func
+        def move(x: Any, v: Any, dt: Any, p: Any):
+            return x + v * dt, v
+
+    return move
+
+
+def _contact(laws):
+    found = laws.stage("contact")
+    if len(found) > 1:
+        raise ValueError(f"a system can have one contact term, got {', '.join(t.name for t, _ in found)}")
+    if not found:
+        return None
+    law = found[0][0].law
+
+    @wp.func
+    def contact(xi: Any, xj: Any, vi: Any, vj: Any, mi: Any, mj: Any, p: Any):
+        return law(xi, xj, vi, vj, mi, mj, p, 0)
+
+    return contact
