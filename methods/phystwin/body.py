@@ -16,7 +16,7 @@ from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, Linear
 from ...physics.topology import controller_springs, object_springs
 from .config import Config
 
-__all__ = ["Body", "Motion", "Place", "build", "hand_springs", "roll", "system", "time_step"]
+__all__ = ["Body", "Motion", "Place", "build", "hand_springs", "regrip", "roll", "system", "time_step"]
 
 PUBLISHED_STEP = 5e-5  # s
 PUBLISHED_SUBSTEPS = 667
@@ -92,6 +92,13 @@ def hand_springs(values: dict[str, float], place: Place) -> np.ndarray:
     if len(found):
         found[:, 0] = len(place.structure) + hands[found[:, 0]]
     return found
+
+
+def regrip(body: Body, place: Place) -> Body:
+    """The body with hand springs drawn at another place, each as stiff as its own are on (geometric) average."""
+    pulls = hand_springs(body.values, place)
+    level = np.exp(np.log(np.maximum(body.pull, 1.0)).mean()) if len(body.pull) else body.values["global_spring_Y"]
+    return replace(body, pulls=pulls, pull=np.full(len(pulls), level))
 
 
 def system(body: Body, place: Place, config: Config) -> System:

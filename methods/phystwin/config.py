@@ -34,6 +34,8 @@ class Quirks:
     """Only every 20th epoch and the last can be chosen, by the mean of the losses met while learning."""
     fixed_radii: bool = True
     """Connection and collision radii are searched in metres, whatever the spacing of the particles."""
+    inert_parameters: bool = True
+    """All twelve parameters are searched, those included that have nothing to act on, such as contact without self-collision."""
     fixed_grip: bool = True
     """A transferred twin's hand springs get a fixed stiffness, its substep is ten times shorter, its collision distance 5 mm."""
 

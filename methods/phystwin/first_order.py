@@ -10,7 +10,7 @@ import torch
 
 from ...datasets.scenario import Observed
 from ...physics.batch import Batch
-from .body import Body, Place, hand_springs, system, time_step
+from .body import Body, Place, regrip, system, time_step
 from .config import CONTACT, SEARCHED, Config
 from .losses import FitLoss
 from .zero_order import open_loop_costs
@@ -29,14 +29,14 @@ def refine(
     than the one given, unless ``sparse_checkpoints`` asks for the published choice."""
     learner = _Learner(body, observed, config, device)
     sparse = config.quirks.sparse_checkpoints
-    best = (float("inf"), body) if sparse else (learner.open_loop(body), body)
+    best = (float("inf"), body) if sparse else (learner.open_loop([body, *learner.bodies()[1:]]), body)
     for epoch in range(config.epochs):
         met = learner.epoch()
         if not np.isfinite(met):
             break
         if not sparse or (epoch % CHECKPOINT_EPOCHS == 0 or epoch == config.epochs - 1):
-            found = learner.body()
-            best = min(best, (met if sparse else learner.open_loop(found), found), key=lambda pair: pair[0])
+            found = learner.bodies()
+            best = min(best, (met if sparse else learner.open_loop(found), found[0]), key=lambda pair: pair[0])
         if progress:
             progress(f"gradients, best {best[0] * 1e6:.1f} mm^2", (epoch + 1) / config.epochs)
     return best[1]
@@ -46,16 +46,14 @@ class _Learner:
     """Parameters, optimiser and the batch of recordings that they are learned on."""
 
     def __init__(self, body: Body, observed: Sequence[Observed], config: Config, device: str):
-        self.start, self.config, self.device = body, config, device
+        self.config, self.device = config, device
         self.places = [Place.of(o) for o in observed]
         self.losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=device) for o in observed]
         self.frames = max(loss.frames for loss in self.losses)
         # hand springs belong to a place; every recording learns its own, the first place's are the twin's
-        self.pulls = [body.pulls] + [hand_springs(body.values, p) for p in self.places[1:]]
-        level = float(np.exp(np.mean(np.log(np.maximum(body.pull, 1.0))))) if len(body.pull) else 1.0
-        pull = [body.pull] + [np.full(len(p), level) for p in self.pulls[1:]]
+        self.start = [body, *(regrip(body, place) for place in self.places[1:])]
         self.log_stiffness = self._leaf(np.log(np.maximum(body.stiffness, 1e-3)))
-        self.log_pull = [self._leaf(np.log(np.maximum(p, 1e-3))) for p in pull]
+        self.log_pull = [self._leaf(np.log(np.maximum(p, 1e-3))) for p in (b.pull for b in self.start)]
         # contact parameters move in their own units, dampings in their ranges', which are wider than any step of Adam's
         dampings = () if config.quirks.frame_gradients else DAMPING
         spans = {p.name: (p.low, p.high - p.low) if p.name in DAMPING else (0.0, 1.0) for p in SEARCHED if p.name in (*CONTACT, *dampings)}
@@ -67,26 +65,23 @@ class _Learner:
     def _leaf(self, value):
         return torch.tensor(np.asarray(value), dtype=torch.float32, device=self.device, requires_grad=True)
 
-    def body(self) -> Body:
-        """What has been learned so far."""
-        stiffness, pull = (t.detach().exp().clamp(max=LARGEST).cpu().double().numpy() for t in (self.log_stiffness, self.log_pull[0]))
-        return replace(self.start, stiffness=stiffness, pull=pull, values=self.start.values | self._values())
+    def bodies(self) -> list[Body]:
+        """What has been learned so far, once a recording: hand springs differ."""
+        stiffness, *pulls = (t.detach().exp().clamp(max=LARGEST).cpu().double().numpy() for t in (self.log_stiffness, *self.log_pull))
+        values = self.start[0].values | self._values()
+        return [replace(b, stiffness=stiffness, pull=p, values=values) for b, p in zip(self.start, pulls, strict=True)]
 
     def _values(self):
         bounds = {p.name: (p.low, p.high) for p in SEARCHED}
         return {n: float(np.clip(low + float(self.units[n].detach()) * span, *bounds[n])) for n, (low, span) in self.spans.items()}
 
-    def open_loop(self, body: Body) -> float:
-        """Mean loss of one roll-out of ``body`` over the train frames."""
-        return open_loop_costs([body], self.places, self.losses, self.config, self.device)[0]
+    def open_loop(self, bodies: Sequence[Body]) -> float:
+        """Mean loss of one roll-out of each recording's body over its train frames."""
+        return open_loop_costs([bodies], self.places, self.losses, self.config, self.device)[0]
 
     def epoch(self) -> float:
         """One pass over the train frames, the parameters moving as it goes; the mean of the losses met."""
-        body = self.body()
-        systems = []
-        for place, pulls, log_pull in zip(self.places, self.pulls, self.log_pull, strict=True):
-            pull = log_pull.detach().exp().clamp(max=LARGEST).cpu().double().numpy()
-            systems.append(system(replace(body, pulls=pulls, pull=pull), place, self.config))
+        systems = [system(b, place, self.config) for b, place in zip(self.bodies(), self.places, strict=True)]
         substeps, dt = time_step(systems, self.places[0].fps, self.config)
         batch = Batch(systems, fps=self.places[0].fps, substeps=substeps, dt=dt, device=self.device)
         window = 1 if self.config.quirks.frame_gradients else self.config.window

@@ -11,7 +11,7 @@ import numpy as np
 from ...datasets.scenario import Observed, Plane
 from ..base import Diverged, Trajectory, Twin
 from ..registration import align
-from .body import PUBLISHED_STEP, PUBLISHED_SUBSTEPS, Body, Place, hand_springs, roll, system
+from .body import PUBLISHED_STEP, PUBLISHED_SUBSTEPS, Body, Place, regrip, roll, system
 from .config import Config, Quirks
 
 __all__ = ["PhysTwinTwin"]
@@ -60,21 +60,19 @@ class PhysTwinTwin(Twin):
             cloud = place.structure[: sum(place.counts[:2])]
             ground = None if place.ground is None else Plane(np.array(place.ground[:3]), place.ground[3])
             place = replace(place, structure=align(self.place.structure, cloud, ground=ground), counts=self.place.counts)
-        pulls, pull = self._hands(place)
-        return replace(self, body=replace(self.body, pulls=pulls, pull=pull), place=place, transferred=True)
+        return replace(self, body=self._grasp(place), place=place, transferred=True)
 
-    def _hands(self, place):
-        """(springs, stiffness) from the hand points of a new place."""
+    def _grasp(self, place):
+        """The body with hand springs drawn at a new place."""
         hands = np.flatnonzero(place.grips < 0)
         if not len(hands):
-            return np.zeros((0, 2), np.int64), np.zeros(0)
+            return replace(self.body, pulls=np.zeros((0, 2), np.int64), pull=np.zeros(0))
         apart = np.linalg.norm(place.controllers[0, hands][:, None] - place.structure[None], axis=2)
         nearest = apart.min(1)
         if not self.config.quirks.fixed_grip:
             radius = max(self.body.values["controller_radius"], float(nearest.min()) + MARGIN)
-            pulls = hand_springs(self.body.values | {"controller_radius": radius}, place)
-            level = np.exp(np.log(np.maximum(self.body.pull, 1.0)).mean()) if len(self.body.pull) else self.body.values["global_spring_Y"]
-            return pulls, np.full(len(pulls), level)
+            wide = replace(self.body, values=self.body.values | {"controller_radius": radius})
+            return replace(regrip(wide, place), values=self.body.values)
         close = np.argsort(nearest, kind="stable")[:TRANSFER_CLOSEST]
         radii = np.full(len(hands), TRANSFER_RADIUS)
         radii[close] = nearest[close] + MARGIN
@@ -83,7 +81,7 @@ class PhysTwinTwin(Twin):
             order = np.argsort(row, kind="stable")[:TRANSFER_NEIGHBOURS]
             pairs += [(len(place.structure) + hand, j) for j in order[row[order] < radius]]
         pulls = np.array(pairs, np.int64).reshape(-1, 2)
-        return pulls, np.full(len(pulls), TRANSFER_PULL)
+        return replace(self.body, pulls=pulls, pull=np.full(len(pulls), TRANSFER_PULL))
 
     def save(self, folder: Path) -> None:
         folder = Path(folder)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from ...datasets.scenario import Observed
-from .body import Body, Motion, Place, build, roll, system
+from .body import Body, Motion, Place, build, regrip, roll, system
 from .config import Config, ranges
 from .losses import FitLoss
 
@@ -29,7 +29,7 @@ def search(
     places = [Place.of(o) for o in observed]
     losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=device) for o in observed]
     table = ranges(config.quirks, observed[0].spacing)
-    moving = [p for p in table if _matters(p.name, places) or config.quirks.fixed_radii]
+    moving = [p for p in table if _matters(p.name, places) or config.quirks.inert_parameters]
     base = {p.name: p.value for p in table}
 
     def decode(unit):
@@ -54,14 +54,20 @@ def search(
 
 def costs(candidates, places, losses, config, device) -> list[float]:
     """Mean loss over recordings of homogeneous bodies with each candidate's parameters."""
-    bodies = [build(values, places[0]) for values in candidates]
+    first = [build(values, places[0]) for values in candidates]
+    bodies = [[body, *(regrip(body, place) for place in places[1:])] for body in first]
     return open_loop_costs(bodies, places, losses, config, device)
 
 
-def open_loop_costs(bodies: Sequence[Body], places: Sequence[Place], losses: Sequence[FitLoss], config: Config, device: str) -> list[float]:
-    """Mean over recordings of each body's mean loss over frames 1, 2, ... of one roll-out from frame 0."""
+def open_loop_costs(
+    bodies: Sequence[Sequence[Body]], places: Sequence[Place], losses: Sequence[FitLoss], config: Config, device: str
+) -> list[float]:
+    """Mean over recordings of each body's mean loss over frames 1, 2, ... of one roll-out from frame 0.
+
+    ``bodies[k]`` is one candidate, once a recording: hand springs differ from place to place.
+    """
     frames = max(loss.frames for loss in losses)
-    systems = [system(body, place, config) for body in bodies for place in places]
+    systems = [system(body, place, config) for candidate in bodies for body, place in zip(candidate, places, strict=True)]
     motions = roll(systems, places[0].fps, frames, config, device)
     found = [_cost(motion, losses[k % len(places)]) for k, motion in enumerate(motions)]
     return np.reshape(found, (len(bodies), len(places))).mean(1).tolist()
@@ -72,9 +78,10 @@ def _cost(motion: Motion, loss: FitLoss) -> float:
         return WORST
     total = loss(motion.positions[1 : loss.frames], 1)
     if motion.velocities is not None:
-        # a = v_end - v_start of each frame; smooth-L1 of its change from frame to frame, off for the first
+        # a = v_end - v_start of each frame; smooth-L1 of its change from frame to frame, off for the first frame
         change = motion.velocities[: loss.frames].diff(dim=0).diff(dim=0)
-        total[1:] += ACCELERATION_WEIGHT * torch.nn.functional.smooth_l1_loss(change, torch.zeros_like(change), reduction="none").mean((1, 2))
+        jerk = torch.nn.functional.smooth_l1_loss(change, torch.zeros_like(change), reduction="none")
+        total[1:] += ACCELERATION_WEIGHT * jerk.mean((1, 2))
     return float(total.mean())
 
 
