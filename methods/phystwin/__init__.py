@@ -92,6 +92,11 @@ def _same_body(observed):
                 f"a twin can be fitted jointly on recordings whose particles correspond, but {observed[0].name} has "
                 f"{observed[0].counts} tracked, surface and interior particles and {other.name} has {other.counts}"
             )
+        if other.fps != observed[0].fps:
+            raise ValueError(
+                f"recordings that are fitted jointly must have the same frame rate, but {observed[0].name} has "
+                f"{observed[0].fps:g} frames/s and {other.name} has {other.fps:g}"
+            )
 
 
 def _first_frames(observed, frames):

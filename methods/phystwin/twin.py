@@ -59,7 +59,8 @@ class PhysTwinTwin(Twin):
         if not marked:
             cloud = place.structure[: sum(place.counts[:2])]
             ground = None if place.ground is None else Plane(np.array(place.ground[:3]), place.ground[3])
-            place = replace(place, structure=align(self.place.structure, cloud, ground=ground), counts=self.place.counts)
+            structure = align(self.place.structure, cloud, ground=ground)
+            place = replace(place, structure=structure, counts=self.place.counts, grips=_nearest(place, structure))
         return replace(self, body=self._grasp(place), place=place, transferred=True)
 
     def _grasp(self, place):
@@ -107,3 +108,9 @@ class PhysTwinTwin(Twin):
         place = Place(**{k: a[k] for k in ("structure", "controllers", "grips", "gravity")}, **rest)
         config = Config(**state["config"] | {"quirks": Quirks(**state["config"]["quirks"])})
         return cls(body, place, config, state["device"], state["transferred"])
+
+
+def _nearest(place, structure):
+    """Grips on another body's particles: a driven marker holds the particle nearest to it."""
+    apart = np.linalg.norm(place.controllers[0][:, None] - structure[None], axis=2)
+    return np.where(place.grips >= 0, apart.argmin(1), -1)
