@@ -108,7 +108,8 @@ def make_backward(kit):
                 gp = sum_axial(gp, lanes)
                 if i >= hi or lane % lanes > 0:
                     continue
-                give_axial(a.axial, i, gp)
+                if a.wants_table > 0:
+                    give_axial(a.axial, i, gp)
                 gx += a.x[i]
                 gv += a.v[i]
                 step = begin + k
@@ -150,7 +151,8 @@ def _back_move(kit):
         if wp.static(colliding):
             v = w.met[slot, i]
         hx, hv, _dt, gp, _gx, _gv = wp.grad(move_dot)(get_x(w.state, slot * w.nodes + i), v, dt, p, gx, gv)
-        give_move(a.move, i, gp)
+        if a.wants_table > 0:
+            give_move(a.move, i, gp)
         return hx, hv
 
     return back_move
@@ -177,11 +179,13 @@ def _back_push(kit):
         m = w.mass[i]
         pushed = w.pushed[slot, i]
         gpush, _dt, gp, _g = wp.grad(velocity_dot)(pushed, dt, p_velocity, g)
-        give_velocity(a.velocity, i, gp)
         gf = gpush * (dt / m)
         bx, bv, bm, bp, _bg = wp.grad(body_dot)(x, v, m, p_body, gf)
-        give_body(a.body, i, bp)
-        give(a.mass, i, bm - wp.dot(gpush, pushed - v) / m)
+        if a.wants_table > 0:
+            give_velocity(a.velocity, i, gp)
+            give_body(a.body, i, bp)
+        if a.wants_mass > 0:
+            give(a.mass, i, bm - wp.dot(gpush, pushed - v) / m)
         a.force[slot % 2, i] = gf
         a.x[i] = gx + bx
         a.v[i] = gpush + bv
@@ -212,7 +216,8 @@ def _back_pull(kit):
         tension = axial(length, rate, rest, stiffness, p)
         gp = pa()
         if o > i:
-            give(a.rest, s, g_rest * along)
+            if a.wants_rest > 0:
+                give(a.rest, s, g_rest * along)
             give(a.stiffness, s, g_stiffness * along)
             gp = g_p * along
         gv = d * (-g_rate * along)

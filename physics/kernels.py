@@ -149,5 +149,8 @@ def _structs(R, vec, vectors):
         contact: wp.array(dtype=pc)
         move: wp.array(dtype=pm)
         links: wp.array(dtype=R)
+        wants_rest: int  # whether anybody asks for this gradient
+        wants_mass: int
+        wants_table: int
 
     return World, Adjoint

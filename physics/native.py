@@ -16,8 +16,9 @@ _BARRIER = """
             unsigned int needed = (unsigned int)(round * blocks), seen;
             asm volatile("red.release.gpu.global.add.u32 [%0], 1;" :: "l"(arrived) : "memory");
             do {
-                asm volatile("ld.acquire.gpu.global.u32 %0, [%1];" : "=r"(seen) : "l"(arrived) : "memory");
+                asm volatile("ld.relaxed.gpu.global.u32 %0, [%1];" : "=r"(seen) : "l"(arrived) : "memory");
             } while (seen < needed);
+            asm volatile("fence.acq_rel.gpu;" ::: "memory");
         }
         __syncthreads();
     }
