@@ -30,6 +30,8 @@ class Quirks:
     """Particles that a spring joins collide as well, which damps compression."""
     frame_gradients: bool = True
     """Gradients end at each frame's start and the parameters move after every frame."""
+    fixed_dampings: bool = True
+    """Gradients leave drag and dashpot as the search found them."""
     sparse_checkpoints: bool = True
     """Only every 20th epoch and the last can be chosen, by the mean of the losses met while learning."""
     fixed_radii: bool = True

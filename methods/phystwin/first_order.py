@@ -25,7 +25,7 @@ DAMPING = ("dashpot_damping", "drag_damping")
 def refine(
     body: Body, observed: Sequence[Observed], config: Config, *, device: str, progress: Callable[[str, float], None] | None = None
 ) -> Body:
-    """The body with its stiffness, contact and (without ``frame_gradients``) damping parameters learned; never worse on the train frames
+    """The body with its stiffness, contact and (without ``fixed_dampings``) damping parameters learned; never worse on the train frames
     than the one given, unless ``sparse_checkpoints`` asks for the published choice."""
     learner = _Learner(body, observed, config, device)
     sparse = config.quirks.sparse_checkpoints
@@ -55,7 +55,7 @@ class _Learner:
         self.log_stiffness = self._leaf(np.log(np.maximum(body.stiffness, 1e-3)))
         self.log_pull = [self._leaf(np.log(np.maximum(p, 1e-3))) for p in (b.pull for b in self.start)]
         # contact parameters move in their own units, dampings in their ranges', which are wider than any step of Adam's
-        dampings = () if config.quirks.frame_gradients else DAMPING
+        dampings = () if config.quirks.fixed_dampings else DAMPING
         spans = {p.name: (p.low, p.high - p.low) if p.name in DAMPING else (0.0, 1.0) for p in SEARCHED if p.name in (*CONTACT, *dampings)}
         self.spans = spans
         self.units = {n: self._leaf([(body.values[n] - low) / span]) for n, (low, span) in spans.items()}

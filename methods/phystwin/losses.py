@@ -8,8 +8,6 @@ from ...datasets.scenario import Observed
 
 __all__ = ["FitLoss"]
 
-FAR = 1e6  # stands in for the coordinates of points that are not seen, so that they are nobody's nearest
-
 
 class FitLoss:
     """Chamfer and track loss of one recording's train frames.
@@ -41,7 +39,7 @@ class FitLoss:
         goal, visible, moved = self.points[span], self.visible[span], self.moved[span]
         count = goal.shape[1]
         with torch.no_grad():
-            nearest = torch.cdist(goal, positions[:, : self.surface].detach()).argmin(2)
+            nearest = torch.cdist(goal, positions[:, : self.surface].detach(), compute_mode="donot_use_mm_for_euclid_dist").argmin(2)
         reached = torch.gather(positions, 1, nearest[..., None].expand(-1, -1, 3))
         chamfer = (((reached - goal) ** 2).sum(2) * visible).sum(1) / self.seen[span]
         apart = torch.nn.functional.smooth_l1_loss(positions[:, :count], goal, reduction="none", beta=1.0).sum(2)

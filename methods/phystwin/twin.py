@@ -11,14 +11,14 @@ import numpy as np
 from ...datasets.scenario import Observed, Plane
 from ..base import Diverged, Trajectory, Twin
 from ..registration import align
-from .body import PUBLISHED_STEP, PUBLISHED_SUBSTEPS, Body, Place, regrip, roll, system
+from .body import Body, Place, regrip, roll, system
 from .config import Config, Quirks
 
 __all__ = ["PhysTwinTwin"]
 
 MARGIN = 0.005  # m: how much farther than its nearest particle a hand point reaches, at least
 TRANSFER_RADIUS, TRANSFER_CLOSEST, TRANSFER_NEIGHBOURS, TRANSFER_PULL = 0.01, 10, 30, 3e4  # published transfer protocol, section 8.5
-TRANSFER_FINER, TRANSFER_CONTACT = 10, 0.005
+TRANSFER_SUBSTEPS, TRANSFER_STEP, TRANSFER_CONTACT = 6667, 5e-6, 0.005  # per frame, s, m
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class PhysTwinTwin(Twin):
         one = system(self.body, place, self.config)
         if self.transferred and self.config.quirks.fixed_grip:
             one = one.with_values(**({"collision_dist": TRANSFER_CONTACT} if place.self_collision else {}))
-            step = PUBLISHED_SUBSTEPS * TRANSFER_FINER, PUBLISHED_STEP / TRANSFER_FINER
+            step = TRANSFER_SUBSTEPS, TRANSFER_STEP
         else:
             step = None
         quiet = replace(self.config, quirks=replace(self.config.quirks, acceleration_loss=False))
