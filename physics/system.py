@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..datasets.collection import nearest
 from .terms.base import STAGES, Term
 
 __all__ = ["System"]
@@ -13,7 +15,7 @@ __all__ = ["System"]
 
 @dataclass(frozen=True, kw_only=True)
 class System:
-    """One simulable body.
+    """One simulable body. Owns read-only copies of its arrays; a wrong one raises ValueError that names the field, the rule and the value.
 
     positions    (M, 3) m, the start
     velocities   (M, 3) m/s, zero unless given
@@ -21,9 +23,9 @@ class System:
     springs      (E, 2) int: particle indices, or M + c for controller c
     rest         (E,) m, the start's distances unless given
     stiffness    (E,) N, force per unit strain
-    controllers  (T, C, 3) m, their path, frame by frame
+    controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
     grips        (C,) the particle that controller c holds rigidly, or -1 where it only pulls on springs
-    terms        the physics
+    terms        the physics, each name and each parameter name once
     """
 
     positions: np.ndarray
@@ -38,48 +40,50 @@ class System:
     name: str = ""
 
     def __post_init__(self):
-        where = f" (system {self.name})" if self.name else ""
+        try:
+            self._own_arrays()
+            object.__setattr__(self, "terms", _checked_terms(self.terms))
+        except ValueError as error:
+            raise ValueError(f"{error} (system {self.name})" if self.name else str(error)) from None
 
-        def own(name, shape, dtype=np.float64, default=None):
+    def _own_arrays(self):
+        def own(name, *shape, whole=False, default=None):
             value = getattr(self, name)
-            value = np.array(default if value is None else value, dtype)
-            if value.shape != shape:
-                raise ValueError(f"{name} must have shape {shape}, got {value.shape}{where}")
-            if value.dtype.kind == "f" and not np.isfinite(value).all():
-                raise ValueError(f"{name} must be finite, got NaN or infinity{where}")
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, _array(name, default if value is None else value, shape, whole))
 
+        def refuse(bad, message):
+            """Say of the first ``bad`` entry where it is and what."""
+            if bad.any():
+                raise ValueError(message(int(np.argmax(bad))))
+
+        own("positions", "M", 3)
         count = len(self.positions)
-        own("positions", (count, 3))
-        own("velocities", (count, 3), default=np.zeros((count, 3)))
-        own("masses", (count,), default=np.ones(count))
-        frames, hands = np.shape(self.controllers)[:2]
-        own("controllers", (frames, hands, 3))
-        own("grips", (hands,), np.int64, default=np.full(hands, -1))
-        own("springs", (len(self.springs), 2), np.int64)
-        if len(self.springs) and not (0 <= self.springs.min() and self.springs.max() < count + hands):
-            raise ValueError(f"springs must tie nodes 0 to {count + hands - 1}, got {self.springs.min()} to {self.springs.max()}{where}")
-        if hands and not (self.grips.min() >= -1 and self.grips.max() < count):
-            raise ValueError(f"grips must be -1 or a particle below {count}, got {self.grips.tolist()}{where}")
-        if len(set(self.grips[self.grips >= 0].tolist())) < (self.grips >= 0).sum():
-            raise ValueError(f"two controllers grip the same particle: {self.grips.tolist()}{where}")
-        own("stiffness", (len(self.springs),))
-        own("rest", (len(self.springs),), default=self.lengths() if self.rest is None else None)
-        object.__setattr__(self, "terms", tuple(self.terms))
-        if (self.masses <= 0).any():
-            raise ValueError(f"masses must be > 0 [kg], got {self.masses.min()}{where}")
-        if len(self.springs) and self.rest.min() <= 0:
-            raise ValueError(f"spring rest length must be > 0 [m], got {self.rest.min()}{where}")
-        if len(self.springs) and self.stiffness.min() < 0:
-            raise ValueError(f"spring stiffness must be >= 0 [N], got {self.stiffness.min()}{where}")
-        for term in self.terms:
-            if term.stage not in STAGES:
-                raise ValueError(f"term {term.name} has the unknown stage {term.stage!r}")
-        names = [t.name for t in self.terms]
-        for name in sorted(set(names)):
-            if names.count(name) > 1:
-                raise ValueError(f"term {name} is listed {names.count(name)} times{where}")
+        if not count:
+            raise ValueError("positions must hold at least one particle, got shape (0, 3)")
+        own("velocities", count, 3, default=np.zeros((count, 3)))
+        own("masses", count, default=np.ones(count))
+        refuse(self.masses <= 0, lambda i: f"masses must be > 0 [kg], got {self.masses[i]} at particle {i}")
+        own("controllers", "T", "C", 3)
+        frames, hands = self.controllers.shape[:2]
+        if not frames:
+            raise ValueError(f"controllers must have at least one frame, got shape {self.controllers.shape}")
+        own("grips", hands, whole=True, default=np.full(hands, -1))
+        outside = (self.grips < -1) | (self.grips >= count)
+        refuse(outside, lambda c: f"grips must be -1 or one of the {count} particles, got {self.grips[c]} at controller {c}")
+        held, times = np.unique(self.grips[self.grips >= 0], return_counts=True)
+        refuse(times > 1, lambda k: f"grips must hold a particle once, got {times[k]} controllers that grip particle {held[k]}")
+        own("springs", "E", 2, whole=True)
+        nodes, springs = np.concatenate([np.arange(count), np.where(self.grips < 0, count + np.arange(hands), self.grips)]), self.springs
+        outside = ((springs < 0) | (springs >= len(nodes))).any(1)
+        known = f"0 to {count - 1} for particles" + (f" or {count} to {len(nodes) - 1} for controllers" if hands else "")
+        refuse(outside, lambda e: f"springs must tie nodes {known}, got {springs[e].tolist()} at spring {e}")
+        alone = nodes[springs[:, 0]] == nodes[springs[:, 1]]
+        via = " through its grip" if hands else ""
+        refuse(alone, lambda e: f"springs must tie two different nodes, got {springs[e].tolist()} at spring {e}: one node{via}")
+        own("stiffness", len(springs))
+        refuse(self.stiffness < 0, lambda e: f"spring stiffness must be >= 0 [N], got {self.stiffness[e]} at spring {e}")
+        own("rest", len(springs), default=self.lengths())
+        refuse(self.rest <= 0, lambda e: f"spring rest length must be > 0 [m], got {self.rest[e]} at spring {e}, {springs[e].tolist()}")
 
     @property
     def particle_count(self) -> int:
@@ -92,15 +96,59 @@ class System:
 
     def lengths(self) -> np.ndarray:
         """(E,) present lengths of the springs [m], controllers at frame 0."""
-        nodes = np.concatenate([self.positions, self.controllers[0]]) if len(self.controllers) else np.asarray(self.positions)
-        ends = np.asarray(self.springs, np.int64).reshape(-1, 2)
-        return np.linalg.norm(nodes[ends[:, 0]] - nodes[ends[:, 1]], axis=1)
+        nodes = np.concatenate([self.positions, self.controllers[0]])
+        return np.linalg.norm(nodes[self.springs[:, 0]] - nodes[self.springs[:, 1]], axis=1)
 
     def with_values(self, **values) -> System:
         """The same system with some term parameters changed; an unknown name raises ValueError."""
         known = self.values
         for name in values:
             if name not in known:
-                raise ValueError(f"no term of this system has a parameter {name!r}; known: {', '.join(known)}")
+                raise ValueError(f"no term of this system has a parameter {name!r}; {nearest(name, known)}")
         terms = [t.with_values(**{k: v for k, v in values.items() if k in t.values}) for t in self.terms]
         return replace(self, terms=tuple(terms))
+
+
+def _array(name, value, shape, whole):
+    """A read-only copy of ``value`` as finite numbers of ``shape``, where a letter stands for any length; ``whole`` ones become int64."""
+    try:
+        value = np.asarray(value)
+    except ValueError:
+        raise ValueError(f"{name} must be an array of shape ({_shown(shape)}), got rows of different lengths") from None
+    if value.dtype.kind not in "biuf":
+        raise ValueError(f"{name} must hold real numbers, got {value.dtype.name} {value.ravel()[:1].tolist()}")
+    if value.ndim != len(shape) or any(n != s for n, s in zip(value.shape, shape, strict=True) if not isinstance(s, str)):
+        raise ValueError(f"{name} must have shape ({_shown(shape)}), got {value.shape}")
+    bad = ~np.isfinite(value)
+    if whole and not bad.any():
+        bad = value != np.floor(value)
+    if bad.any():
+        place = np.unravel_index(np.argmax(bad), value.shape)
+        rule = "whole numbers" if whole else "finite"
+        raise ValueError(f"{name} must be {rule}, got {value[place]} at {[int(k) for k in place]}")
+    value = np.array(value, np.int64 if whole else np.float64, order="C")
+    value.flags.writeable = False
+    return value
+
+
+def _shown(shape):
+    return ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "")
+
+
+def _checked_terms(terms):
+    """``terms`` as a tuple; names and parameters are columns of one table, so each may occur only once."""
+    if isinstance(terms, Term) or not isinstance(terms, Iterable):
+        raise ValueError(f"terms must be a list of terms, got {terms!r}")
+    terms, owner = tuple(terms), {}
+    for term in terms:
+        if not isinstance(term, Term):
+            hint = f"the class {term.__name__}: write {term.__name__}()" if isinstance(term, type) else repr(term)
+            raise ValueError(f"terms must be instances of Term, got {hint}")
+        if term.stage not in STAGES:
+            raise ValueError(f"term {term.name} has the unknown stage {term.stage!r}; {nearest(term.stage, STAGES)}")
+        if sum(term.name == t.name for t in terms) > 1:
+            raise ValueError(f"terms must each be listed once, got {term.name} {sum(term.name == t.name for t in terms)} times")
+        for name in term.values:
+            if owner.setdefault(name, term.name) != term.name:
+                raise ValueError(f"parameter names must be unique in a system, got {name} in both {owner[name]} and {term.name}")
+    return terms
