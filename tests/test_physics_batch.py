@@ -173,8 +173,9 @@ def test_grips_are_on_their_controllers_at_every_frame(double):
     assert len(system.grips) > 1
     x = roll([system], frames=7, double=double)[0][0]
     path = torch.tensor(system.controllers, dtype=x.dtype)
-    assert equal([x[1:5, system.grips]], [path[1:]])
-    assert equal([x[5:, system.grips]], [path[[-1, -1]]])
+    held = system.grips.tolist()
+    assert equal([x[1:5, held]], [path[1:]])
+    assert equal([x[5:, held]], [path[[-1, -1]]])
 
 
 def test_a_grip_moves_at_the_speed_of_its_controller():
@@ -228,6 +229,11 @@ def test_first_bad_frame(value):
 # ---------------------------------------------------------------- terms in the list and out of it
 
 
+def close(found, expected):
+    """Whether two roll-outs in float64 agree to rounding: kernels of other lists of terms may be compiled to another order of operations."""
+    return all(a.dtype == torch.float64 and torch.allclose(a, b, rtol=0, atol=1e-9) for a, b in zip(found, expected, strict=True))
+
+
 def without(system, *kinds):
     return replace(system, terms=[t for t in system.terms if not isinstance(t, kinds)])
 
@@ -244,14 +250,13 @@ NOTHING = {
 
 @pytest.mark.parametrize("term", NOTHING, ids=lambda t: t.__name__)
 def test_a_term_left_out_is_a_term_that_does_nothing(term):
-    # adding zero and multiplying by one are exact
     system = make(KINDS["contacts"], 0)
     neutral = system.with_values(**NOTHING[term])
     if term is Springs:  # its parameter belongs to the springs
         neutral = replace(system, stiffness=0 * system.stiffness)
-    found = roll([without(system, term)])[0]
-    assert equal(found, roll([neutral])[0])
-    assert not equal(found, roll([system])[0])
+    found = roll([without(system, term)], double=True)[0]
+    assert close(found, roll([neutral], double=True)[0])
+    assert not close(found, roll([system], double=True)[0])
 
 
 def test_without_their_term_controllers_pull_on_nothing():
@@ -260,24 +265,28 @@ def test_without_their_term_controllers_pull_on_nothing():
     own = (system.springs < 20).all(1)
     assert 0 < own.sum() < len(own)
     undrawn = replace(system, springs=system.springs[own], stiffness=system.stiffness[own], rest=system.rest[own])
-    found = roll([without(system, ControllerSprings)])[0]
-    assert equal(found, roll([without(undrawn, ControllerSprings)])[0])
-    assert equal(found, roll([undrawn])[0])
-    assert not equal(found, roll([system])[0])
+    found = roll([without(system, ControllerSprings)], double=True)[0]
+    assert equal(found, roll([without(undrawn, ControllerSprings)], double=True)[0])
+    assert close(found, roll([undrawn], double=True)[0])
+    assert not close(found, roll([system], double=True)[0])
     last = min(5, len(system.controllers) - 1)
-    np.testing.assert_array_equal(found[0][last, 0], system.controllers[last, 0].astype(np.float32))
+    np.testing.assert_array_equal(found[0][last, 0], system.controllers[last, 0])
 
 
-def test_a_spring_to_a_controller_that_grips_is_one_to_its_particle():
+@pytest.mark.parametrize("controller", [0, 1])
+def test_a_spring_to_a_controller_that_grips_is_one_to_its_particle(controller):
     # such a spring is the body's own, with or without the term
-    system = make(AIR, 0, count=20)
-    particle = int(np.setdiff1d(np.arange(1, 20), system.springs[(system.springs == 0).any(1)])[0])
-    more = dict(stiffness=np.append(system.stiffness, 80.0), rest=np.append(system.rest, 0.05))
-    to_controller = replace(system, springs=np.concatenate([system.springs, [[20, particle]]]), **more)
-    to_particle = replace(system, springs=np.concatenate([system.springs, [[0, particle]]]), **more)
+    system = make(AIR, 4, count=20)
+    # a controller may not grip a particle that its springs pull
+    free = np.setdiff1d(np.arange(20), system.springs[(system.springs >= 20).any(1)])
+    held = [*free[[5, 3]], *[-1] * (system.controllers.shape[1] - 2)]
+    end, other = held[controller], free[0]
+    more = dict(grips=held, stiffness=np.append(system.stiffness, 80.0), rest=np.append(system.rest, 0.05))
+    to_controller = replace(system, springs=np.concatenate([system.springs, [[20 + controller, other]]]), **more)
+    to_particle = replace(system, springs=np.concatenate([system.springs, [[end, other]]]), **more)
     for change in (lambda s: s, lambda s: without(s, ControllerSprings)):
         assert equal(roll([change(to_controller)])[0], roll([change(to_particle)])[0])
-        assert not equal(roll([change(to_controller)])[0], roll([change(system)])[0])
+        assert not equal(roll([change(to_controller)])[0], roll([change(replace(system, grips=held))])[0])
 
 
 def test_the_order_of_springs_ends_does_not_matter():
