@@ -230,7 +230,7 @@ def test_first_bad_frame(value):
 
 
 def close(found, expected):
-    """Whether two roll-outs in float64 agree to rounding: kernels of other lists of terms may be compiled to another order of operations."""
+    """Whether two roll-outs in float64 agree to rounding: kernels of other lists of terms may be compiled to another order of sums."""
     return all(a.dtype == torch.float64 and torch.allclose(a, b, rtol=0, atol=1e-9) for a, b in zip(found, expected, strict=True))
 
 
