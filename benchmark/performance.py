@@ -107,7 +107,8 @@ def cuda(repeats: int) -> None:
 
     dt = 5e-5
     print(f"{torch.cuda.get_device_name()}, float32, frames of {PUBLISHED_SUBSTEPS} substeps, best of {repeats}")
-    print(f"{'particles':>10} {'springs':>9} {'systems':>8} {'frames/s':>10} {'reference':>10} {'ratio':>7} {'ms +gradient':>13} {'reference':>10}")
+    heads = ("particles", "springs", "systems", "frames/s", "reference", "ratio", "ms +gradient", "reference")
+    print("{:>10} {:>9} {:>8} {:>10} {:>10} {:>7} {:>13} {:>10}".format(*heads))
     for particles, (rate, gradient) in REFERENCE.items():
         system = block(particles, 14)
         for count in (1, 64):

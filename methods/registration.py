@@ -15,7 +15,7 @@ KEPT = 0.8  # share of nearest pairs that a round believes in: the rest may be u
 
 
 def rigid_transform(source, target) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and translation (3,) that take ``source`` (K, 3) closest to ``target`` (K, 3) in the least-squares sense (Kabsch 1976)."""
+    """Rotation (3, 3) and translation (3,) that take ``source`` (K, 3) closest to ``target`` (K, 3), least squares (Kabsch 1976)."""
     a, b = source.mean(0), target.mean(0)
     u, _, vt = np.linalg.svd((source - a).T @ (target - b))
     turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))])

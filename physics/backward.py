@@ -1,8 +1,8 @@
 """The adjoint kernel: the forward kernel's phases in reverse, from recorded states, with each law's derivative from ``wp.grad``.
 
 A force law F = T(l, l') d along a spring gives its ends opposite forces, so node i needs of each of its springs only w = g_i - g_o, the
-difference of the force adjoints at the two ends: another gather, without contention. The springs' phase of substep k and the node's own phase
-of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
+difference of the force adjoints at the two ends: another gather, without contention. The springs' phase of substep k and the node's own
+phase of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
 
 Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` before it meets it plainly; this file keeps to that order.
 """
@@ -20,7 +20,7 @@ def make_backward(kit):
     """The kernel that pulls ``a`` back through the ``w.count`` substeps recorded in ``w``, the first being ``begin`` after ``frame``."""
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
-    pa, pb, pv, pc, pm = kit.vectors.values()
+    pa = kit.vectors["axial"]
     load_axial, load_body, load_velocity, load_contact, load_move = kit.load.values()
     get_x, get_v, sum3, sum_axial, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.give
     node, end = node_functions(kit)

@@ -12,7 +12,7 @@ Nodes of one system are contiguous: particles first, then controllers. A node wi
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,7 +24,7 @@ from .terms.base import STAGES
 
 __all__ = ["Kernels", "build"]
 
-wp.config.quiet = True
+wp.config.log_level = wp.LOG_WARNING  # no banner on the user's terminal
 
 STAGED = STAGES[:5]
 
@@ -42,7 +42,7 @@ class Kernels:
     vectors: dict[str, Any]
 
 
-@lru_cache(maxsize=None)
+@cache
 def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Kernels:
     """Compose the kernels for ``laws``. ``double``: float64 instead of float32. ``half``: each spring once (teams of one thread only).
 
@@ -51,13 +51,22 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
     from .backward import make_backward
     from .forward import make_forward
 
-    wp.init()
+    _init()
     kit = _kit(laws, wp.float64 if double else wp.float32)
     kit.half, kit.lanes = half, lanes
     # approximate division and square root (2 units in the last place) are a GPU's fast path; float64 is for checking and stays exact
     launch = (threads, 1) if threads > 1 else None
     kit.kernel = wp.kernel(module="unique", enable_backward=False, launch_bounds=launch, module_options={"fast_math": not double})
     return Kernels(make_forward(kit), make_backward(kit), kit.World, kit.Adjoint, kit.R, kit.vec, kit.vectors)
+
+
+def _init():
+    """Start Warp without its remark that there is no GPU: whoever asks for one hears that from torch."""
+    level, wp.config.log_level = wp.config.log_level, wp.LOG_ERROR
+    try:
+        wp.init()
+    finally:
+        wp.config.log_level = level
 
 
 def _kit(laws: Laws, R) -> SimpleNamespace:

@@ -10,8 +10,8 @@ __all__ = ["controller_springs", "object_springs"]
 def object_springs(points, *, radius: float, max_neighbours: int) -> np.ndarray:
     """Springs (E, 2) int32 between ``points`` (M, 3) [m], each once, in PhysTwin's order, so that its checkpoints' stiffness fits.
 
-    For i ascending: the neighbours of i within ``radius``, nearest first, at most ``max_neighbours`` counting i itself; the first hit (i) is
-    dropped, (i, j) is added where the pair is new and longer than 1e-4 m. Positions count as float32, as published.
+    For i ascending: the neighbours of i within ``radius``, nearest first, at most ``max_neighbours`` counting i itself; the first hit (i)
+    is dropped, (i, j) is added where the pair is new and longer than 1e-4 m. Positions count as float32, as published.
     """
     _positive("object_radius", radius)
     points = np.asarray(points, np.float32).astype(np.float64)
@@ -26,9 +26,9 @@ def object_springs(points, *, radius: float, max_neighbours: int) -> np.ndarray:
 
 
 def controller_springs(controllers, points, *, radius: float, max_neighbours: int) -> np.ndarray:
-    """Springs (E, 2) int32 (controller, particle): for each controller (C, 3) its at most ``max_neighbours`` nearest points within ``radius``.
+    """Springs (E, 2) int32 (controller, particle): each of ``controllers`` (C, 3) with its nearest ``points`` (M, 3) [m] within ``radius``.
 
-    A controller with nobody in reach has none.
+    At most ``max_neighbours`` each; a controller with nobody in reach has none.
     """
     _positive("controller_radius", radius)
     controllers = np.asarray(controllers, np.float32).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Shared fixtures. Recordings that may not be redistributed lie beside the project, in ``../shared``; tests that need them skip without it."""
+"""Shared fixtures. Recordings that may not be redistributed lie beside the project, in ``../shared``; without them their tests skip."""
 
 import subprocess
 import sys

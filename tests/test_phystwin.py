@@ -171,10 +171,22 @@ def test_the_twelve_searched_parameters_are_the_published_ones():
 
 def test_ranges_scale_with_spacing_only_where_corrected():
     assert ranges(AS_PUBLISHED, 0.05) == SEARCHED
-    assert ranges(CORRECTED, 0.005) == ranges(CORRECTED, 0.002) == SEARCHED  # the published thinning is the least
-    for p, scaled in zip(SEARCHED, ranges(CORRECTED, 0.02), strict=True):
+    linear = replace(CORRECTED, linear_search=True)
+    assert ranges(linear, 0.005) == ranges(linear, 0.002) == SEARCHED  # the published thinning is the least
+    for p, scaled in zip(SEARCHED, ranges(linear, 0.02), strict=True):
         factor = 4 if p.name in ("object_radius", "controller_radius", "collision_dist") else 1
         np.testing.assert_allclose([scaled.value, scaled.low, scaled.high], np.multiply([p.value, p.low, p.high], factor))
+
+
+def test_logarithmic_search_covers_the_published_ranges_and_more():
+    table = {p.name: p for p in ranges(CORRECTED, 0.005)}
+    stiffness, dashpot = table["global_spring_Y"], table["dashpot_damping"]
+    assert stiffness.scale == dashpot.scale == "log"
+    assert stiffness.high >= 1e5 and dashpot.high >= 200
+    for p in table.values():  # decode and encode are inverse, the ends are the ends
+        assert p.decode(0) == pytest.approx(p.low) and p.decode(1) == pytest.approx(p.high)
+        assert p.decode(p.encode(p.value)) == pytest.approx(p.value)
+    assert stiffness.decode(0.5) == pytest.approx(1e4)  # the geometric mean of 1e2 and 1e6
 
 
 # ---------------------------------------------------------------- switches
@@ -190,6 +202,7 @@ CHANGES = {
     "fixed_dampings": {"learned"},
     "sparse_checkpoints": {"checkpoints"},
     "fixed_radii": {"ranges"},
+    "linear_search": {"ranges", "stiffest"},
     "inert_parameters": {"searched"},
     "fixed_grip": {"transferred pull", "transferred collision distance", "transferred step"},
 }
@@ -238,7 +251,8 @@ def behaviour(quirks, o, monkeypatch):
         seen["cost of a jerk"] = open_loop_costs([[build(TRUTH, place)]], [place], [one], config, "cpu")
 
     learner = first_order._Learner(build(TRUTH, place), [o], config, "cpu")
-    seen["learned"] = sorted(learner.units)
+    seen["learned"] = sorted([*learner.contact, *learner.log_damping])
+    seen["stiffest"] = learner.largest
     with monkeypatch.context() as m:
         marches = []
         real = first_order.Batch.march
@@ -356,7 +370,7 @@ def found(lift):
 
 def test_the_search_begins_at_the_published_start_and_returns_the_best_ever(found):
     best, evaluated, _ = found
-    assert evaluated[0][1] == {p.name: p.value for p in SEARCHED}
+    assert evaluated[0][1] == {p.name: p.value for p in ranges(CORRECTED, 0.005)}
     lowest, values = min(evaluated, key=lambda pair: pair[0])
     assert best == values
     assert lowest < evaluated[0][0] / 2  # the truth is far from the start

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,9 +22,9 @@ class PhysTwin(Method):
 
     name = "phystwin"
     stages = ("zero", "first")
-    presets = {
-        "quick": Config(quirks=CORRECTED, iterations=6, population=8, epochs=4, rate=0.02, recordings=3, frames=120),
-        "full": Config(quirks=CORRECTED, iterations=20, epochs=40, rate=0.01, recordings=12),
+    presets: ClassVar = {
+        "quick": Config(quirks=CORRECTED, iterations=10, population=10, epochs=8, rate=0.1, recordings=3, frames=200),
+        "full": Config(quirks=CORRECTED, iterations=30, epochs=40, rate=0.05, recordings=12),
     }
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
@@ -70,7 +71,7 @@ class PhysTwinAsPublished(PhysTwin):
     """Both stages with every quirk of the reference implementation. On a CPU a matter of hours."""
 
     name = "phystwin-as-published"
-    presets = {
+    presets: ClassVar = {
         "quick": Config(quirks=AS_PUBLISHED, iterations=2, population=4, epochs=2, recordings=1),
         "full": Config(quirks=AS_PUBLISHED),
     }

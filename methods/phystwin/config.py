@@ -36,6 +36,8 @@ class Quirks:
     """Only every 20th epoch and the last can be chosen, by the mean of the losses met while learning."""
     fixed_radii: bool = True
     """Connection and collision radii are searched in metres, whatever the spacing of the particles."""
+    linear_search: bool = True
+    """Stiffness and dashpot are searched linearly, in 0 to 1e5 N and 0 to 200 N s/m, instead of in their logarithms over wider ranges."""
     inert_parameters: bool = True
     """All twelve parameters are searched, those included that have nothing to act on, such as contact without self-collision."""
     fixed_grip: bool = True
@@ -62,11 +64,24 @@ SEARCHED = (
 
 LENGTHS = ("object_radius", "controller_radius", "collision_dist")
 
+LOGARITHMIC = {
+    "global_spring_Y": dict(value=1e4, low=1e2, high=1e6, scale="log"),
+    "dashpot_damping": dict(value=10.0, low=0.1, high=200.0, scale="log"),
+}
+"""Soft toys lie at a hundredth of the published stiffness range, cables beyond its end."""
+
 
 def ranges(quirks: Quirks, spacing: float) -> tuple[Parameter, ...]:
     """The searched parameters for a body whose particles lie ``spacing`` [m] apart; radii scale with it unless ``fixed_radii``."""
     scale = 1.0 if quirks.fixed_radii else max(1.0, spacing / SPACING)
-    return tuple(replace(p, value=p.value * scale, low=p.low * scale, high=p.high * scale) if p.name in LENGTHS else p for p in SEARCHED)
+    table = []
+    for p in SEARCHED:
+        if p.name in LENGTHS:
+            p = replace(p, value=p.value * scale, low=p.low * scale, high=p.high * scale)
+        elif p.name in LOGARITHMIC and not quirks.linear_search:
+            p = replace(p, **LOGARITHMIC[p.name])
+        table.append(p)
+    return tuple(table)
 
 
 @dataclass(frozen=True)
@@ -88,7 +103,7 @@ class Config:
     population: int | None = None
     epochs: int = 200
     rate: float = 1e-3
-    window: int = 8
+    window: int = 32
     substeps: int | str = "auto"
     most_substeps: int = 1000
     recordings: int = 12

@@ -17,7 +17,9 @@ from .zero_order import open_loop_costs
 
 __all__ = ["refine"]
 
-LARGEST = 1e5  # N, the published clamp of a spring's stiffness
+LARGEST = 1e5  # N, the published clamp of a spring's stiffness; it ends the published search range
+FARTHEST = 1e7  # N, the clamp beyond the wider range of the logarithmic search
+SLOWEST = 1e-2  # 1/s and N s/m: a smaller damping does nothing within a recording
 CHECKPOINT_EPOCHS = 20
 DAMPING = ("dashpot_damping", "drag_damping")
 
@@ -54,12 +56,11 @@ class _Learner:
         self.start = [body, *(regrip(body, place) for place in self.places[1:])]
         self.log_stiffness = self._leaf(np.log(np.maximum(body.stiffness, 1e-3)))
         self.log_pull = [self._leaf(np.log(np.maximum(p, 1e-3))) for p in (b.pull for b in self.start)]
-        # contact parameters move in their own units, dampings in their ranges', which are wider than any step of Adam's
+        self.contact = {n: self._leaf([body.values[n]]) for n in CONTACT}
         dampings = () if config.quirks.fixed_dampings else DAMPING
-        spans = {p.name: (p.low, p.high - p.low) if p.name in DAMPING else (0.0, 1.0) for p in SEARCHED if p.name in (*CONTACT, *dampings)}
-        self.spans = spans
-        self.units = {n: self._leaf([(body.values[n] - low) / span]) for n, (low, span) in spans.items()}
-        leaves = [self.log_stiffness, *self.log_pull, *self.units.values()]
+        self.log_damping = {n: self._leaf([np.log(max(body.values[n], SLOWEST))]) for n in dampings}
+        self.largest = LARGEST if config.quirks.linear_search else FARTHEST
+        leaves = [self.log_stiffness, *self.log_pull, *self.contact.values(), *self.log_damping.values()]
         self.optimiser = torch.optim.Adam(leaves, lr=config.rate, betas=(0.9, 0.99))
 
     def _leaf(self, value):
@@ -67,13 +68,14 @@ class _Learner:
 
     def bodies(self) -> list[Body]:
         """What has been learned so far, once a recording: hand springs differ."""
-        stiffness, *pulls = (t.detach().exp().clamp(max=LARGEST).cpu().double().numpy() for t in (self.log_stiffness, *self.log_pull))
+        stiffness, *pulls = (t.detach().exp().clamp(max=self.largest).cpu().double().numpy() for t in (self.log_stiffness, *self.log_pull))
         values = self.start[0].values | self._values()
         return [replace(b, stiffness=stiffness, pull=p, values=values) for b, p in zip(self.start, pulls, strict=True)]
 
     def _values(self):
         bounds = {p.name: (p.low, p.high) for p in SEARCHED}
-        return {n: float(np.clip(low + float(self.units[n].detach()) * span, *bounds[n])) for n, (low, span) in self.spans.items()}
+        raw = {n: float(u.detach()) for n, u in self.contact.items()} | {n: float(u.detach().exp()) for n, u in self.log_damping.items()}
+        return {n: float(np.clip(value, *bounds[n])) for n, value in raw.items()}
 
     def open_loop(self, bodies: Sequence[Body]) -> float:
         """Mean loss of one roll-out of each recording's body over its train frames."""
@@ -101,15 +103,13 @@ class _Learner:
 
     def _stiffness(self):
         springs = [part for pull in self.log_pull for part in (self.log_stiffness, pull)]
-        return torch.cat(springs).exp().clamp(max=LARGEST)
+        return torch.cat(springs).exp().clamp(max=self.largest)
 
     def _table(self, batch):
         table = batch.inputs.table.clone()
-        for name, unit in self.units.items():
+        for name, value in (self.contact | {n: u.exp() for n, u in self.log_damping.items()}).items():
             if name in batch.columns:
-                low, span = self.spans[name]
-                value = low + unit * span
-                table[:, batch.column(name)] = value.clamp(min=0.0) if name in DAMPING else value
+                table[:, batch.column(name)] = value
         return table
 
     def _loss(self, positions, first):

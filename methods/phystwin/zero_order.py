@@ -17,7 +17,7 @@ __all__ = ["open_loop_costs", "search"]
 SIGMA = 1 / 6
 PUBLISHED_SEED = 42
 ACCELERATION_WEIGHT = 0.01
-WORST = 1e3  # cost of a candidate that blows up: far above any that does not, and finite, as CMA-ES ranks
+WORST = 1e9  # m^2, cost of a candidate that blows up: above any that does not (none is farther than 1 km), and finite, as CMA-ES ranks
 
 
 def search(
@@ -33,9 +33,9 @@ def search(
     base = {p.name: p.value for p in table}
 
     def decode(unit):
-        return base | {p.name: p.low + float(u) * (p.high - p.low) for p, u in zip(moving, unit, strict=True)}
+        return base | {p.name: p.decode(float(u)) for p, u in zip(moving, unit, strict=True)}
 
-    start = np.array([(p.value - p.low) / (p.high - p.low) for p in moving])
+    start = [p.encode(p.value) for p in moving]
     options = {"bounds": [0, 1], "seed": PUBLISHED_SEED + seed, "verbose": -9, "maxiter": config.iterations}
     if config.population:
         options["popsize"] = config.population

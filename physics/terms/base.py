@@ -7,7 +7,7 @@ stage       law                                                      returns
 "axial"     (length, rate, rest, stiffness, p, o)                    tension along the spring [N], positive pulls its ends together
 "body"      (x, v, m, p, o)                                          force on one particle [N]
 "velocity"  (v, dt, p, o)                                            velocity after the stage [m/s]
-"contact"   (xi, xj, vi, vj, mi, mj, p, o)                           impulse on particle i [N s]; p[o] is the distance within which pairs meet
+"contact"   (xi, xj, vi, vj, mi, mj, p, o)                           impulse on particle i [N s]; pairs meet within p[o]
 "move"      (x, v, dt, p, o)                                         position and velocity after the substep
 "links"     none: the term only adds springs
 

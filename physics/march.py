@@ -1,0 +1,175 @@
+"""Taking a batch through time and back: kernel structs over tensors, and the autograd function that joins them to torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from itertools import pairwise
+
+import numpy as np
+import torch
+import warp as wp
+
+from .contacts import candidates
+from .terms.base import STAGES
+
+__all__ = ["Adjoint", "Inputs", "March", "Stretch", "World"]
+
+
+@dataclass
+class Inputs:
+    """Everything continuous that a roll-out depends on, as tensors over the whole batch; any of them may require gradients.
+
+    x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns)
+    """
+
+    x: torch.Tensor
+    v: torch.Tensor
+    mass: torch.Tensor
+    rest: torch.Tensor
+    stiffness: torch.Tensor
+    path: torch.Tensor
+    table: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The substeps of one launch: from substep ``begin`` of ``frame`` on, ``count`` (B,) of them in each system."""
+
+    frame: int
+    begin: int
+    count: np.ndarray
+
+    @property
+    def history(self) -> int:
+        """Slots that keep every state; never two, which means to keep none."""
+        return max(3, int(self.count.max()) + 1)
+
+
+class Carrier:
+    """A kernel struct over tensors that stay alive with it."""
+
+    def __init__(self, kernels, struct, tensors):
+        self.kernels, self.struct, self.tensors = kernels, struct(), {}
+        self.set(**tensors)
+
+    def set(self, **tensors):
+        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out"}
+        for name, tensor in tensors.items():
+            kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
+            dtype = wp.int32 if tensor.dtype == torch.int32 else kind
+            self.tensors[name] = tensor
+            if tensor.numel():
+                array = wp.from_torch(tensor, dtype=dtype)
+            else:  # Warp cannot wrap an empty tensor
+                array = wp.empty((0,) * (tensor.ndim - (kind is not self.kernels.real)), dtype=dtype, device=str(tensor.device))
+            setattr(self.struct, name, array)
+
+
+class World(Carrier):
+    """The state of a batch in ``slots`` slots, starting at (x, v), with ``near`` the contact candidates."""
+
+    def __init__(self, batch, values, x, v, near, slots, out):
+        n, self.slots, self._batch = batch.node_count, slots, batch
+
+        def empty(*shape, dtype=batch.dtype):
+            return torch.empty(shape, dtype=dtype, device=batch.device)
+
+        state = empty(slots, n, 8)
+        state[0, :, 0:3], state[0, :, 4:7] = x, v
+        self.states = state
+        kept = slots if slots > 2 else 1
+        met = slots if batch.colliding else 1
+        counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
+        near_row, near = near or (counters, counters)
+        super().__init__(
+            batch.kernels,
+            batch.kernels.World,
+            dict(
+                **batch.constants,
+                **{k: values[k][batch.constants["spring"].long()] for k in ("rest", "stiffness")},
+                **{k: values[k] for k in ("mass", "path", "table")},
+                **dict(state=state.view(-1), pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
+                **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
+                **dict(near_row=near_row, near=near, counters=counters),
+            ),
+        )
+        self.struct.nodes = n
+
+    def end(self, stretch: Stretch):
+        """(x, v) at the end of a stretch."""
+        slot = torch.as_tensor(stretch.count % self.slots, device=self._batch.device)[self._batch.system_of]
+        node = torch.arange(len(slot), device=slot.device)
+        end = self.states[slot, node]
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous()
+
+
+class Adjoint(Carrier):
+    """Adjoints of a batch's state and inputs: ``x`` and ``v`` of the state at the end, ``out`` of the positions at the frames.
+
+    ``wanted`` names the inputs whose gradients somebody asks for.
+    """
+
+    def __init__(self, batch, values, x, v, out, wanted):
+        self.batch = batch
+
+        def zeros(width):
+            return torch.zeros((batch.node_count, width), dtype=batch.dtype, device=batch.device)
+
+        stages = {s: zeros(batch.laws.width(s)) for s in ("axial", "body", "velocity", "contact", "move")}
+        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path")}
+        super().__init__(
+            batch.kernels,
+            batch.kernels.Adjoint,
+            dict(
+                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), out=out, met=zeros(3)),
+                **dict(force=torch.stack([zeros(3)] * 2), links=zeros(1)[:, 0], **stages, **inputs),
+            ),
+        )
+        for name in ("rest", "mass", "table"):
+            setattr(self.struct, f"wants_{name}", int(name in wanted))
+
+    def gradients(self):
+        """By input: the state's at the start, and everything else's summed over the whole way."""
+        t, batch = self.tensors, self.batch
+        shares = torch.cat([t[s].reshape(batch.node_count, -1) for s in STAGES], 1)
+        table = torch.stack([shares[a:b].sum(0) for a, b in pairwise(batch.starts)])
+        return {"x": t["x"], "v": t["v"], "table": table, **{k: t[k] for k in ("mass", "rest", "stiffness", "path")}}
+
+
+class March(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, batch, frame, frames, *inputs):
+        values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
+        x, v = values["x"], values["v"]
+        out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
+        back = any(ctx.needs_input_grad)
+        stretches = batch.stretches(frames, history=back)
+        ctx.starts, ctx.world, near = [], None, None
+        keep = back and len(stretches) == 1
+        for stretch in stretches:
+            if batch.colliding and stretch.begin == 0:
+                near = candidates(batch, x, values["table"])
+            world = World(batch, values, x, v, near, stretch.history if keep else 2, out[stretch.frame :])
+            ctx.starts.append((x, v, near))
+            batch.forward(world, frame, stretch)
+            x, v = world.end(stretch)
+            ctx.world = world if keep else None
+        ctx.batch, ctx.frame, ctx.values, ctx.stretches = batch, frame, values, stretches
+        return out, x, v
+
+    @staticmethod
+    def backward(ctx, g_out, g_x, g_v):
+        batch, values = ctx.batch, ctx.values
+        given = g_out.contiguous()
+        wanted = {f.name for f, needed in zip(fields(Inputs), ctx.needs_input_grad[3:], strict=True) if needed}
+        adjoint = Adjoint(batch, values, g_x, g_v, given, wanted)
+        scratch = torch.empty_like(g_out)
+        for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
+            world = ctx.world
+            if world is None:
+                world = World(batch, values, *start, stretch.history, scratch[stretch.frame :])
+                batch.forward(world, ctx.frame, stretch)
+            adjoint.set(out=given[stretch.frame :])
+            batch.backward(world, adjoint, ctx.frame, stretch)
+        gradients = adjoint.gradients()
+        return (None, None, None, *(gradients[f.name] if f.name in wanted else None for f in fields(Inputs)))
