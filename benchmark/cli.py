@@ -1,4 +1,4 @@
-"""The command line: ``twinbench run | table | check | download | list``."""
+"""The command line: ``twinbench run | table | picture | check | download | list``."""
 
 from __future__ import annotations
 
@@ -97,6 +97,55 @@ class Table:
 
         _known("format", [self.format], ("terminal", "markdown", "latex"))
         print(getattr(table, self.format)(read_results(self.folder)))
+        return 0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Draw one recording: where its points were, where each method's twin puts them, and the error over time.
+
+    Twins that twinbench run fitted are taken from the cache, others are fitted. Needs matplotlib (the extra "plots").
+    """
+
+    scenario: Annotated[Positional[str], arg(metavar="[NAME]")] = ""
+    """The recording to draw. Default: the first that is scored."""
+    data: Annotated[str, arg(metavar="PATH")] = "sample"
+    """Where it is, as for twinbench run."""
+    methods: Names = ("static", "rigid", "phystwin")
+    """Methods to draw."""
+    metric: str = "chamfer"
+    """The error to draw (see twinbench list)."""
+    seed: int = 0
+    """Seed of the fits."""
+    preset: str = "quick"
+    """quick or full."""
+    device: str = "cpu"
+    """cpu or cuda."""
+    split: str = "published"
+    """published or clean."""
+    out: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Where to write it, a .png, .pdf or .svg. Default: results/RECORDINGS/NAME.png."""
+
+    def __call__(self) -> int:
+        from .cache import Cache, default_cache
+        from .opening import open_recordings
+        from .picture import Player, draw, drawable
+        from .progress import Bar
+        from .runner import Settings
+
+        for option, value, known in (("preset", self.preset, _PRESETS), ("device", self.device, _DEVICES), ("split", self.split, _SPLITS)):
+            _known(option, [value], known)
+        methods, metrics, cache = _methods(self.methods), _metrics(), Cache(default_cache())
+        _known("metric", [self.metric], metrics)
+        opened = open_recordings(self.data, split=self.split, cache=cache)
+        collection = opened.collection
+        name = self.scenario or next(iter((*collection.in_domain, *(pair.target for pair in collection.pairs))), "")
+        scenario, out = collection.load(name), self.out or Path("results") / collection.name / f"{name}.png"
+        drawable(out)
+        with Bar(name) as bar:
+            rollouts, fitted = Player(opened, Settings(methods, metrics, self.preset, self.device), cache).play_all(name, self.seed, bar)
+        draw(scenario, rollouts, metrics[self.metric], out, fitted=fitted)
+        print(f"Written to {out}")
         return 0
 
 
@@ -224,7 +273,7 @@ def _metrics() -> dict:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    commands = {"run": Run, "table": Table, "check": Check, "download": Download, "list": List}
+    commands = {"run": Run, "table": Table, "picture": Picture, "check": Check, "download": Download, "list": List}
     try:
         if arguments and not arguments[0].startswith("-"):
             _known("command", arguments[:1], commands)

@@ -80,7 +80,7 @@ def test_scenarios_tasks_and_seeds_are_chosen(cases, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, check, download, list"),
+        (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, picture, check, download, list"),
         (["run", "--methods", "ridgid"], "unknown method 'ridgid'; did you mean 'rigid'?"),
         (["run", "--tasks", "predictoin"], "unknown task 'predictoin'; did you mean 'prediction'?"),
         (["run", "--preset", "ful"], "unknown preset 'ful'; did you mean 'full'? known: quick, full"),
