@@ -23,7 +23,7 @@ def make_backward(kit):
     pa = kit.vectors["axial"]
     load_axial, load_body, load_velocity, load_contact, load_move = kit.load.values()
     get_x, get_v, sum3, sum_axial, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.give
-    node, end = node_functions(kit)
+    node, end, _inertia = node_functions(kit)
     back_move = _back_move(kit)
     back_push = _back_push(kit)
     back_pull = _back_pull(kit)
@@ -231,6 +231,7 @@ def _back_contacts(kit, back_push):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     pv, pb, pc = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["contact"]
     contact, get_x, give, give_contact = kit.laws.contact, kit.get_x, kit.give, kit.give_all["contact"]
+    _node, _end, inertia = node_functions(kit)
 
     @wp.func
     def contact_dot(xi: vec, xj: vec, vi: vec, vj: vec, mi: R, mj: R, p: pc, g: vec):
@@ -241,7 +242,7 @@ def _back_contacts(kit, back_push):
         """v_i' = v_i + mean_j J_ij / m_i, and J_ji = -J_ij: particle i collects its part in its own and its partners' sums."""
         x = get_x(w.state, slot * w.nodes + i)
         v = w.free[slot, i]
-        m = w.mass[i]
+        m = inertia(w, i)
         driven = w.driver[i] >= 0
         mine = a.met[i]
         weight = vec()
@@ -259,10 +260,11 @@ def _back_contacts(kit, back_push):
                 g = weight
                 if w.driver[o] < 0:
                     g = weight - a.met[o] / (R(w.hits[slot, o]) * w.mass[o])
-                hx, _hx, hv, _hv, hm, _hm, hp, _hg = wp.grad(contact_dot)(x, xo, v, vo, m, w.mass[o], p, g)
+                hx, _hx, hv, _hv, hm, _hm, hp, _hg = wp.grad(contact_dot)(x, xo, v, vo, m, inertia(w, o), p, g)
                 gx += hx
                 gv += hv
-                give(a.mass, i, hm)
+                if not driven:
+                    give(a.mass, i, hm)
                 if not driven and (o > i or w.driver[o] >= 0):
                     give_contact(a.contact, i, hp)
         if driven:

@@ -59,21 +59,28 @@ class Batch:
         if not systems:
             raise ValueError("a batch needs at least one system")
         kinds = [tuple(type(t) for t in s.terms) for s in systems]
-        if any(k != kinds[0] for k in kinds):
-            raise ValueError("all systems of a batch must have the same kinds of terms in the same order")
-        if not 0 < fps < np.inf:
-            raise ValueError(f"fps must be > 0 and finite, got {fps}")
+        for k, kind in enumerate(kinds):
+            if kind != kinds[0]:
+                lists = [", ".join(t.name for t in one) or "none" for one in (kinds[0], kind)]
+                raise ValueError(
+                    "all systems of a batch must have the same kinds of terms in the same order, "
+                    f"but system 0 has {lists[0]} and system {k} has {lists[1]}"
+                )
+        if isinstance(fps, bool) or not isinstance(fps, (int, float, np.number)) or not 0 < fps < np.inf:
+            raise ValueError(f"fps must be a number > 0 and finite, got {fps!r}")
         self.systems = systems
         self.laws = Laws(kinds[0])
         self.device = torch.device(device)
         self.dtype = torch.float64 if double else torch.float32
-        self.substeps = _each(systems, "substeps", [stable_substeps([s], 1 / fps) for s in systems] if substeps == "auto" else substeps)
-        if (self.substeps < 1).any() or (self.substeps != np.floor(self.substeps)).any():
+        if isinstance(substeps, str) and substeps == "auto":
+            substeps = [stable_substeps([s], 1 / fps) for s in systems]
+        self.substeps = _each(systems, "substeps", substeps)
+        if not ((self.substeps >= 1) & (self.substeps < np.inf) & (self.substeps == np.floor(self.substeps))).all():
             raise ValueError(f"substeps must be whole numbers >= 1 or 'auto', got {substeps}")
         self.substeps = self.substeps.astype(np.int64)
         self.dt = 1 / (fps * self.substeps) if dt is None else _each(systems, "dt", dt)
-        if not (self.dt > 0).all():
-            raise ValueError(f"dt must be > 0 [s], got {dt}")
+        if not ((self.dt > 0) & (self.dt < np.inf)).all():
+            raise ValueError(f"dt must be > 0 and finite [s], got {dt}")
         self.columns = self.laws.columns
         self.colliding = bool(self.laws.stage("contact"))
         cuda = self.device.type == "cuda"
@@ -110,10 +117,10 @@ class Batch:
             driver[start[k] + sizes[k] + np.arange(len(hands[k]))] = path_start[k] + hands[k]
             lead[start[k] + sizes[k] : start[k + 1]] = 1
             ends.append(index[s.springs] + start[k])
-            paths.append(np.concatenate([s.controllers, np.repeat(s.controllers[-1:], frames - len(s.controllers), 0)]))
+            path = np.concatenate([s.controllers, np.repeat(s.controllers[-1:], frames - len(s.controllers), 0)])
+            path[:, held] += s.positions[s.grips[held]] - s.controllers[0, held]  # a grip carries its particle along where it found it
+            paths.append(path)
         ends = np.concatenate(ends).reshape(-1, 2)
-        if (ends[:, 0] == ends[:, 1]).any():
-            raise ValueError("a spring ties a particle to itself (a controller spring to the particle that the controller grips?)")
         here, other = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
         spring = np.tile(np.arange(len(ends)), 2)
         if not self.laws.stage("links"):  # without their term, controllers pull on nothing
@@ -166,7 +173,7 @@ class Batch:
 
         A system that blows up does not disturb the others; its first frame with a non-finite or far particle is in ``diverged``.
         """
-        frames = self.frame_count if frames is None else frames
+        frames = self.frame_count if frames is None else _whole("frames", frames, 1)
         inputs = inputs or self.inputs
         with torch.no_grad():
             out, _, _ = self.march(0, frames - 1, inputs)
@@ -179,10 +186,21 @@ class Batch:
 
         Differentiable with respect to every tensor of ``inputs``. A state is kept once a stretch and the rest recomputed on the way back.
         """
-        if not (frame >= 0 and frames >= 0):
-            raise ValueError(f"frame and frames must be >= 0, got {frame} and {frames}")
+        frame, frames = _whole("frame", frame, 0), _whole("frames", frames, 0)
         inputs = inputs or self.inputs
+        self._check(inputs)
         return March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+
+    def _check(self, inputs):
+        """Refuse tensors that the kernels would read past."""
+        for field in fields(Inputs):
+            given, own = getattr(inputs, field.name), getattr(self.inputs, field.name)
+            shape = given.shape[1:] == own.shape[1:] and len(given) > 0 if field.name == "path" else given.shape == own.shape
+            if not shape or given.dtype != own.dtype or given.device != own.device:
+                raise ValueError(
+                    f"inputs.{field.name} must be {tuple(own.shape)} {own.dtype} on {own.device}, "
+                    f"got {tuple(given.shape)} {given.dtype} on {given.device}"
+                )
 
     def stretches(self, frames: int, *, history: bool) -> list[Stretch]:
         """The launches that ``frames`` frames take.
@@ -196,7 +214,7 @@ class Batch:
         if (self.substeps != substeps).any():
             raise ValueError("gradients need the same number of substeps in every system of the batch")
         longest = substeps if self.colliding else max(1, frames * substeps)
-        room = max(1, HISTORY_BYTES // (self.node_count * self.dtype.itemsize * 3 * (5 if self.colliding else 4)))
+        room = max(1, HISTORY_BYTES // (self.node_count * self.dtype.itemsize * (18 if self.colliding else 14)))
         longest = -(-longest // -(-longest // room))
         found, begin = [], 0
         while begin < frames * substeps:
@@ -233,12 +251,19 @@ class Batch:
             list(pool.map(go, cuts[:-1], cuts[1:]))
 
 
+def _whole(name, value, least):
+    """``value`` as an int of at least ``least``."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f"{name} must be a whole number >= {least}, got {value!r}")
+    return int(value)
+
+
 def _each(systems, name, value):
     """``value`` as one number for each system."""
     try:
         found = np.asarray(value, float)
         return np.broadcast_to(found, (len(systems),)).copy()
-    except ValueError:
+    except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number or one for each of the {len(systems)} systems, got {value!r}") from None
 
 

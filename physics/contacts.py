@@ -68,6 +68,7 @@ def _world(batch, kernels, x, table):
     world.owner, world.home = wp.from_torch(plan.owner), wp.from_torch(plan.home, dtype=wp.vec3d)
     world.x, world.table = wp.from_torch(x, dtype=batch.kernels.vec), wp.from_torch(table)
     world.column = batch.laws.start("contact")
+    world.neighbours = batch.columns.index("collide_neighbours") if "collide_neighbours" in batch.columns else -1
     world.blown = wp.from_torch(ints(len(batch.systems)))
     world.head, world.next = wp.from_torch(ints(plan.slots, fill=-1)), wp.from_torch(ints(count))
     world.cell, world.count = wp.from_torch(ints(count, 3), dtype=wp.vec3i), wp.from_torch(ints(count))
@@ -103,6 +104,7 @@ def _kernels(vec: Any, real: Any):
         x: wp.array(dtype=vec)  # (nodes,) m
         table: wp.array2d(dtype=real)  # (B, columns) parameters
         column: wp.int32  # of the contact distance
+        neighbours: wp.int32  # column that says whether pairs that start close can meet, or -1: they can
         blown: wp.array(dtype=wp.int32)  # (B,) 1: skipped
         cell: wp.array(dtype=wp.vec3i)  # (nodes,) cube
         head: wp.array(dtype=wp.int32)  # (slots,) last particle filed, or -1
@@ -149,7 +151,9 @@ def _kernels(vec: Any, real: Any):
         if b < 0 or w.blown[b] != 0:
             return found
         distance = w.table[b, w.column]
-        joined = w.table[b, w.column + 3] > real(0.0)
+        joined = bool(True)
+        if w.neighbours >= 0:
+            joined = w.table[b, w.neighbours] > real(0.0)
         slots = w.head.shape[0]
         x = w.x[i]
         home = w.home[i]

@@ -7,9 +7,11 @@ from .paths import along, speed
 
 __all__ = ["make_forward", "node_functions"]
 
+HELD_MASS = 1.0e30  # kg, stands for infinity
+
 
 def node_functions(kit):
-    """Functions that tell a thread what it works on: (node, end)."""
+    """Functions that tell a thread what it works on: (node, end, inertia)."""
     R, World = kit.R, kit.World
 
     @wp.func
@@ -28,7 +30,14 @@ def node_functions(kit):
             return 0, R(1.0), R(0.0)
         return w.other[j], w.rest[j], w.stiffness[j]
 
-    return node, end
+    @wp.func
+    def inertia(w: World, i: int):
+        """Mass of node ``i`` in a contact: a driven one yields to nobody."""
+        if w.driver[i] >= 0:
+            return R(HELD_MASS)
+        return w.mass[i]
+
+    return node, end, inertia
 
 
 def make_forward(kit):
@@ -39,7 +48,7 @@ def make_forward(kit):
     axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
     load_axial, load_body, load_velocity, load_contact, load_move = kit.load.values()
     get_x, get_v, put, sum3 = kit.get_x, kit.get_v, kit.put, kit.sum3
-    node, end = node_functions(kit)
+    node, end, inertia = node_functions(kit)
 
     @wp.func
     def follow(w: World, i: int, slot: int, frame: int, step: int, substeps: int, dt: R, share: R):
@@ -69,7 +78,7 @@ def make_forward(kit):
             o = w.near[j]
             apart = get_x(w.state, slot * w.nodes + o) - x
             if wp.length(apart) < p[0] and wp.dot(apart, w.free[slot, o] - v) < R(-1.0e-4):
-                total += contact(x, get_x(w.state, slot * w.nodes + o), v, w.free[slot, o], m, w.mass[o], p)
+                total += contact(x, get_x(w.state, slot * w.nodes + o), v, w.free[slot, o], m, inertia(w, o), p)
                 count += 1
         if count > 0:
             v = v + total / (R(count) * m)

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
 from .contacts import candidates
 from .terms.base import STAGES
@@ -154,12 +155,15 @@ class March(torch.autograd.Function):
             batch.forward(world, frame, stretch)
             x, v = world.end(stretch)
             ctx.world = world if keep else None
-        ctx.batch, ctx.frame, ctx.values, ctx.stretches = batch, frame, values, stretches
+        ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
+        ctx.batch, ctx.frame, ctx.stretches = batch, frame, stretches
         return out, x, v
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, g_out, g_x, g_v):
-        batch, values = ctx.batch, ctx.values
+        batch = ctx.batch
+        values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), ctx.saved_tensors, strict=True)}
         given = g_out.contiguous()
         wanted = {f.name for f, needed in zip(fields(Inputs), ctx.needs_input_grad[3:], strict=True) if needed}
         adjoint = Adjoint(batch, values, g_x, g_v, given, wanted)

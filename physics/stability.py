@@ -16,23 +16,26 @@ def stable_step(system: System) -> float:
 
     With stiffness matrix K, damping matrix C and masses m, v <- v - dt (K x + C v) / m and x <- x + dt v are stable while
     lam dt^2 + 2 mu dt < 4 for the largest eigenvalues lam of K/m and mu of C/m (characteristic polynomial
-    z^2 - (2 - mu dt - lam dt^2) z + (1 - mu dt)). Gershgorin bounds both by twice the largest sum over a particle's springs:
-    lam <= 2 max sum(Y / L0) / m, mu <= 2 max sum(c) / m. Stiffening with stretch (F grows, L0 stays) is not in it.
+    z^2 - (2 - mu dt - lam dt^2) z + (1 - mu dt)). Gershgorin bounds both by the largest row sum over a free particle's springs, in
+    which a spring counts twice where its other end is free as well. The bound holds for stretched springs too (the law is linear and
+    the transverse stiffness of a spring in tension stays below Y / L0); strong compression and fast rotation with dashpots are not in it.
     """
-    stiffness, damping = np.zeros(system.particle_count), np.zeros(system.particle_count)
+    free = np.ones(system.particle_count + system.controllers.shape[1], bool)
+    free[system.particle_count :] = False
+    free[system.grips[system.grips >= 0]] = False
+    stiffness, damping = np.zeros(len(free)), np.zeros(len(free))
     dashpot = system.values.get("dashpot_damping", 0.0)
-    for end in system.springs.T:
-        inside = end < system.particle_count
-        np.add.at(stiffness, end[inside], (system.stiffness / system.rest)[inside])
-        np.add.at(damping, end[inside], dashpot)
-    free = np.setdiff1d(np.arange(system.particle_count), system.grips)
-    if not len(free):
+    for end, other in (system.springs.T, system.springs.T[::-1]):
+        times = 1 + free[other]
+        np.add.at(stiffness, end, times * system.stiffness / system.rest)
+        np.add.at(damping, end, times * dashpot)
+    inside = np.flatnonzero(free)
+    if not len(inside):
         return math.inf
-    lam = 2 * float((stiffness[free] / system.masses[free]).max())
-    mu = 2 * float((damping[free] / system.masses[free]).max())
-    if lam == 0:
-        return 2 / mu if mu > 0 else math.inf
-    return (math.sqrt(mu * mu + 4 * lam) - mu) / lam
+    lam = float((stiffness[inside] / system.masses[inside]).max())
+    mu = float((damping[inside] / system.masses[inside]).max())
+    bound = mu + math.sqrt(mu * mu + 4 * lam)
+    return 4 / bound if bound > 0 else math.inf
 
 
 def stable_substeps(systems, frame_seconds: float, *, safety: float = 0.5, least: int = 10) -> int:

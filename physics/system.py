@@ -24,7 +24,7 @@ class System:
     rest         (E,) m, the start's distances unless given
     stiffness    (E,) N, force per unit strain
     controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
-    grips        (C,) the particle that controller c holds rigidly, or -1 where it only pulls on springs
+    grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
     terms        the physics, each name and each parameter name once
     """
 

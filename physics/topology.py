@@ -14,7 +14,7 @@ def object_springs(points, *, radius: float, max_neighbours: int) -> np.ndarray:
     is dropped, (i, j) is added where the pair is new and longer than 1e-4 m. Positions count as float32, as published.
     """
     _positive("object_radius", radius)
-    points = np.asarray(points, np.float32).astype(np.float64)
+    points = _points("points", points)
     if len(points) < 2 or max_neighbours < 2:
         return np.zeros((0, 2), np.int32)
     first, second, distance = _hits(points, points, radius, max_neighbours, drop_first=True)
@@ -31,8 +31,7 @@ def controller_springs(controllers, points, *, radius: float, max_neighbours: in
     At most ``max_neighbours`` each; a controller with nobody in reach has none.
     """
     _positive("controller_radius", radius)
-    controllers = np.asarray(controllers, np.float32).astype(np.float64)
-    points = np.asarray(points, np.float32).astype(np.float64)
+    controllers, points = _points("controllers", controllers), _points("points", points)
     if len(points) == 0 or len(controllers) == 0 or max_neighbours < 1:
         return np.zeros((0, 2), np.int32)
     first, second, _ = _hits(controllers, points, radius, max_neighbours)
@@ -50,6 +49,13 @@ def _hits(queries, points, radius, count, *, drop_first=False):
     found = np.isfinite(distance)
     query = np.broadcast_to(np.arange(len(queries))[:, None], found.shape)
     return query[found].astype(np.int64), index[found].astype(np.int64), distance[found]
+
+
+def _points(name, value):
+    value = np.asarray(value, np.float32).astype(np.float64)
+    if value.ndim != 2 or value.shape[1] != 3 or not np.isfinite(value).all():
+        raise ValueError(f"{name} must be finite with shape (points, 3), got shape {value.shape}")
+    return value
 
 
 def _positive(name, value):

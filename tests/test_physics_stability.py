@@ -1,7 +1,7 @@
 """How long a substep may be: the bound against the true limit, from eigenvalues and from simulations that do or do not blow up.
 
 Linearised at rest, v <- v - dt M^-1 (K x + C v), x <- x + dt v. A mode u (u* M u = 1) has z^2 - (2 - k dt^2 - c dt) z + (1 - c dt) = 0 with
-k = u* K u and c = u* C u, which is stable where k dt^2 + 2 c dt < 4. The bound puts Gershgorin's 2 max sum(Y / L0) / m for k, and c alike.
+k = u* K u and c = u* C u, which is stable where k dt^2 + 2 c dt < 4. Gershgorin's largest row sum of Y / (L0 m) bounds k, and c alike.
 """
 
 import math
@@ -112,19 +112,16 @@ def held(dashpot=0.0):
 @pytest.mark.parametrize("fixed", [hanging, held])
 @pytest.mark.parametrize("dashpot", [0.0, 1.0, 20.0])
 def test_limit_of_a_spring_to_a_fixed_end(fixed, dashpot):
-    # k = Y / (L0 m), c = dashpot / m: k dt^2 + 2 c dt = 4; undamped dt = 2 / w. The bound takes twice k and c, as if the other end moved
-    # too: too short by sqrt(2) without damping and by at most 2 with it, never too long
+    # k = Y / (L0 m), c = dashpot / m: k dt^2 + 2 c dt = 4; undamped dt = 2 / w. One row, so Gershgorin's bound is the limit
     c = dashpot / MASS
     limit = (math.sqrt(c * c + 4 * K) - c) / K
     system = fixed(dashpot)
     assert true_limit(system) == pytest.approx(limit, rel=1e-4)
-    assert limit / 2 < stable_step(system) < limit
+    assert stable_step(system) == pytest.approx(limit, rel=1e-12)
     if dashpot == 0:
         assert limit == pytest.approx(2 / math.sqrt(K))
-        assert stable_step(system) >= limit / math.sqrt(2) * (1 - 1e-12)
     assert growth(system, 0.99 * limit, 2000) < 10  # undamped the swing is A / sqrt(1 - 0.99^2) = 7.1 A
     assert growth(system, 1.01 * limit, 1000) > 1e3  # |z| is 1.02 with much damping and 1.15 without: 1.02^1000 = 4e8
-    assert growth(system, stable_step(system), 2000) < 2
 
 
 @pytest.mark.parametrize("dashpot", [0.0, 1.0, 20.0])
@@ -141,7 +138,7 @@ def test_the_bound_is_the_limit_of_two_equal_free_particles(dashpot):
 def test_a_dashpot_alone():
     # k = 0: z = 1 - c dt, stable below dt = 2 / c
     system, limit = hanging(20.0, stiffness=0.0), 2 / (20.0 / MASS)
-    assert limit / 2 * (1 - 1e-12) <= stable_step(system) < limit
+    assert stable_step(system) == pytest.approx(limit, rel=1e-12)
     pushed = replace(system, velocities=[[TINY, 0, 0]])
     for share, low, high in ((0.99, 0.0, 1e-4), (1.01, 1e3, np.inf)):
         dt = share * limit
@@ -214,12 +211,12 @@ def test_substeps_are_the_fewest_that_are_safe(seed, frame, safety, least):
 
 
 def test_substeps_serve_the_stiffest_of_several_systems():
-    soft, stiff = hanging(stiffness=1.0), hanging(stiffness=1e4)
+    soft, stiff = hanging(stiffness=1.0), hanging(stiffness=1e6)
     assert stable_substeps([soft, stiff], 1 / 30) == stable_substeps([stiff], 1 / 30) > stable_substeps([soft], 1 / 30)
 
 
 def test_a_batch_chooses_substeps_for_each_of_its_systems():
-    systems = [hanging(stiffness=y) for y in (1.0, 1e4, 1e6)]
+    systems = [hanging(stiffness=y) for y in (1.0, 1e6, 1e8)]
     batch = Batch(systems, fps=30, substeps="auto", double=True, workers=1)
     assert batch.substeps.tolist() == [stable_substeps([s], 1 / 30) for s in systems]
     assert batch.substeps[0] == 10 and (np.diff(batch.substeps) > 0).all()
@@ -237,8 +234,7 @@ def test_automatic_substeps_keep_a_thrown_body_bounded():
     assert np.abs(x).max() < 5
 
 
-@pytest.mark.xfail(strict=True, reason="(sqrt(mu^2 + 4 lam) - mu) / lam cancels where lam << mu^2; 4 / (mu + sqrt(mu^2 + 4 lam)) does not")
 def test_nearly_slack_springs_with_dashpots():
-    # k -> 0 tends to the dashpot alone, dt = 2 / (2 c) by the bound
+    # k -> 0 tends to the dashpot alone, dt = 2 / c, without cancellation
     for stiffness in (1e-6, 1e-9, 1e-12):
-        assert stable_step(hanging(20.0, stiffness)) == pytest.approx(MASS / 20.0, rel=1e-6)
+        assert stable_step(hanging(20.0, stiffness)) == pytest.approx(2 * MASS / 20.0, rel=1e-6)

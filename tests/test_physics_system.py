@@ -1,12 +1,13 @@
 """Bad input of a system or a batch: one ValueError each, that names the field, the rule and the value."""
 
 import re
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 import warp as wp
-from twinbench.physics.batch import Batch
+from twinbench.physics.batch import Batch, Inputs
 from twinbench.physics.parameters import Parameter
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, SelfCollision, Springs
@@ -244,10 +245,10 @@ def test_one_term_moves_particles_and_one_makes_contacts():
 @pytest.mark.parametrize(
     ("text", "options"),
     [
-        ("fps must be > 0 and finite, got 0", dict(fps=0)),
-        ("fps must be > 0 and finite, got -30", dict(fps=-30)),
-        ("fps must be > 0 and finite, got nan", dict(fps=np.nan)),
-        ("fps must be > 0 and finite, got inf", dict(fps=np.inf)),
+        ("fps must be a number > 0 and finite, got 0", dict(fps=0)),
+        ("fps must be a number > 0 and finite, got -30", dict(fps=-30)),
+        ("fps must be a number > 0 and finite, got nan", dict(fps=np.nan)),
+        ("fps must be a number > 0 and finite, got inf", dict(fps=np.inf)),
         ("substeps must be whole numbers >= 1 or 'auto', got 0", dict(substeps=0)),
         ("substeps must be whole numbers >= 1 or 'auto', got -3", dict(substeps=-3)),
         ("substeps must be whole numbers >= 1 or 'auto', got 2.5", dict(substeps=2.5)),
@@ -255,10 +256,10 @@ def test_one_term_moves_particles_and_one_makes_contacts():
         ("substeps must be whole numbers >= 1 or 'auto', got [10, 0]", dict(substeps=[10, 0])),
         ("substeps must be a number or one for each of the 2 systems, got 'Auto'", dict(substeps="Auto")),
         ("substeps must be a number or one for each of the 2 systems, got [1, 2, 3]", dict(substeps=[1, 2, 3])),
-        ("dt must be > 0 [s], got 0.0", dict(dt=0.0)),
-        ("dt must be > 0 [s], got -1e-05", dict(dt=-1e-5)),
-        ("dt must be > 0 [s], got nan", dict(dt=np.nan)),
-        ("dt must be > 0 [s], got [0.001, 0]", dict(dt=[1e-3, 0])),
+        ("dt must be > 0 and finite [s], got 0.0", dict(dt=0.0)),
+        ("dt must be > 0 and finite [s], got -1e-05", dict(dt=-1e-5)),
+        ("dt must be > 0 and finite [s], got nan", dict(dt=np.nan)),
+        ("dt must be > 0 and finite [s], got [0.001, 0]", dict(dt=[1e-3, 0])),
         ("dt must be a number or one for each of the 2 systems, got [1, 2, 3]", dict(dt=[1, 2, 3])),
     ],
 )
@@ -276,7 +277,26 @@ def test_unknown_columns_suggest_the_nearest():
 
 def test_frames_of_a_roll_out_are_not_negative():
     batch = Batch([System(**good())], fps=30, substeps=10)
-    with pytest.raises(ValueError, match="frame and frames must be >= 0, got -1 and 2"):
+    with pytest.raises(ValueError, match="frame must be a whole number >= 0, got -1"):
         batch.march(-1, 2)
-    with pytest.raises(ValueError, match="frame and frames must be >= 0"):
-        batch.rollout(-2)
+    for frames in (-2, 0, 2.5):
+        with pytest.raises(ValueError, match=f"frames must be a whole number >= 1, got {frames}"):
+            batch.rollout(frames)
+
+
+@pytest.mark.parametrize("name", [f.name for f in fields(Inputs)])
+def test_inputs_that_the_kernels_would_read_past_are_refused(name):
+    batch = Batch([System(**good())], fps=30, substeps=10)
+    own = getattr(batch.inputs, name)
+    short = own[:, :-1] if name == "path" else own[:-1]
+    for wrong in (short, own.double()):
+        with pytest.raises(ValueError, match=f"inputs.{name} must be"):
+            batch.march(0, 1, replace(batch.inputs, **{name: wrong}))
+
+
+def test_time_steps_that_numpy_and_people_write():
+    system = System(**good())
+    assert Batch([system, system], fps=np.float32(30), substeps=np.array([10, 20])).substeps.tolist() == [10, 20]
+    for options in (dict(fps="30"), dict(fps=None), dict(fps=[30]), dict(substeps=np.inf), dict(dt=np.inf)):
+        with pytest.raises(ValueError, match="must be"):
+            Batch([system], **{"fps": 30, **options})

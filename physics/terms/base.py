@@ -11,12 +11,16 @@ stage       law                                                      returns
 "move"      (x, v, dt, p, o)                                         position and velocity after the substep
 "links"     none: the term only adds springs
 
+Contacts are between particles of one system that approach: (xj - xi) . (vj - vi) < -1e-4 m^2/s. Pairs are looked up once a frame; a contact
+term with a parameter ``collide_neighbours`` of 0 leaves out those that start closer than p[o]. Driven particles do not yield.
+
 Forces are summed over axial and body terms, then v <- velocity(v + dt F / m), then contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
+from ...datasets.collection import nearest
 from ..parameters import Parameter
 
 __all__ = ["STAGES", "Term"]
@@ -39,7 +43,7 @@ class Term:
         known = {p.name: p for p in self.parameters}
         for name, value in self.values.items():
             if name not in known:
-                raise ValueError(f"{self.name} has no parameter {name!r}; known: {', '.join(known) or 'none'}")
+                raise ValueError(f"{self.name} has no parameter {name!r}; {nearest(name, known) if known else 'known: none'}")
             p = known[name]
             if not p.low <= value <= p.high:
                 raise ValueError(f"{name} must lie in [{p.low:g}, {p.high:g}] {p.unit}, got {value}")
