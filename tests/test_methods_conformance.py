@@ -144,7 +144,7 @@ def test_train_frames_matter(name):
     # the guard of the test above: poison cannot show in a method that never looks, and only the baselines may not
     made = scenario()
     points = made.points.copy()
-    points[1:TRAIN] += [0.0, 0.03, 0.0]
+    points[1:TRAIN] += [0.0, 0.03, 0.001]  # also along the way of the controllers
     changed = positions(fit(name, [replace(made, points=points)]), made.controllers)
     assert np.array_equal(changed, positions(fitted(name), made.controllers)) == (name in ("static", "rigid"))
 
