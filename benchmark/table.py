@@ -126,19 +126,27 @@ def _caption(block: Block) -> str:
     return f"{block.collection}, {block.task}: {TASKS[block.task]}"
 
 
-def terminal(results: Results) -> str:
-    """The tables as aligned text, names of columns stacked word by word; the best of a column carries an asterisk."""
+def terminal(results: Results, *, width: int = 100) -> str:
+    """The tables as aligned text; the best of a column carries an asterisk. Names of columns are stacked where lines exceed ``width``."""
     parts = []
     for block in blocks(results):
-        names = [name.replace("_", "_ ").split() for name in _header(block, dict(results.units))]
-        height = max(len(words) for words in names)
-        head = [[f"{word} " for word in row] for row in zip(*([""] * (height - len(words)) + words for words in names), strict=True)]
+        header = _header(block, dict(results.units))
         body = [[_aligned(text, best) for text, best in _cells(block, line, results)] for line in block.lines]
-        widths = [max(len(cell) for cell in column) for column in zip(*head, *body, strict=True)]
-        head, body = ([_joined(row, widths) for row in rows] for rows in (head, body))
-        rule = "-" * max(len(line) for line in (*head, *body))
-        parts.append("\n".join([_caption(block), rule, *head, rule, *body, rule]))
+        lines = _laid_out([name.split() for name in header], body)
+        if max(map(len, lines)) > width:
+            lines = _laid_out([name.replace("_", "_ ").split() for name in header], body)
+        parts.append("\n".join([_caption(block), *lines]))
     return "\n\n".join([*parts, "\n".join([_legend(results), *notes(results)])])
+
+
+def _laid_out(names: Sequence[Sequence[str]], body: list[list[str]]) -> list[str]:
+    """Lines of one table: the words of each column's name above each other, and rules."""
+    height = max(len(words) for words in names)
+    head = [[f"{word} " for word in row] for row in zip(*([""] * (height - len(words)) + list(words) for words in names), strict=True)]
+    widths = [max(len(cell) for cell in column) for column in zip(*head, *body, strict=True)]
+    head, body = ([_joined(row, widths) for row in rows] for rows in (head, body))
+    rule = "-" * max(len(line) for line in (*head, *body))
+    return [rule, *head, rule, *body, rule]
 
 
 def _aligned(text: str, best: bool) -> str:

@@ -627,6 +627,16 @@ def test_the_terminal_table_is_aligned():
     assert len(set((rule, rule_again, last))) == 1 and len(rule) == max(map(len, (*head, first, second)))
 
 
+def test_names_of_columns_are_stacked_only_where_the_terminal_table_is_too_wide():
+    made = row("b", "transfer", 0.03, longer_name=0.2)
+    results = Results([made], {"chamfer": "m", "longer_name": "m"}, {"chamfer": "lower", "longer_name": "lower"})
+    wide = terminal(results).splitlines()
+    assert [line.split() for line in wide[2:4]] == [["chamfer", "longer_name", "fit"], ["method", "[mm]", "[mm]", "n", "[s]"]]
+    narrow = terminal(results, width=len(wide[1]) - 1).splitlines()
+    assert [line.split() for line in narrow[2:5]] == [["longer_"], ["chamfer", "name", "fit"], ["method", "[mm]", "[mm]", "n", "[s]"]]
+    assert len(narrow[1]) < len(wide[1]) and terminal(results, width=len(wide[1])).splitlines() == wide
+
+
 def test_latex_escapes_names():
     text = latex(table(row("phys_twin & 50%", "transfer", 0.2), row("b", "transfer", 0.03)))
     assert r"phys\_twin \& 50\%" in text and r"\textbf{30.00}" in text
