@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -55,6 +57,9 @@ class Run:
 
         for option, value, known in (("preset", self.preset, _PRESETS), ("device", self.device, _DEVICES), ("split", self.split, _SPLITS)):
             _known(option, [value], known)
+        for option in ("data", "methods", "tasks", "seeds"):
+            if not getattr(self, option):
+                raise ValueError(f"--{option} needs at least one value")
         _known("task", self.tasks, TASKS)
         methods, metrics = _methods(self.methods), _metrics()
         settings, cache = Settings(methods, metrics, self.preset, self.device), Cache(default_cache())
@@ -68,12 +73,12 @@ class Run:
                 work.append((Runner(found, settings, cache), fits))
         if not work:
             raise ValueError(f"nothing to do: no task of {', '.join(self.tasks)} is scored on the chosen recordings")
+        folder = _folder(self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for runner, _ in work)))
         rows = []
         for runner, fits in work:
             with Bar(runner.collection.name) as bar:
                 rows += runner.run(fits, progress=bar)
         results = Results.of(rows, metrics, [found.collection for found in opened])
-        folder = self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for runner, _ in work))
         written = write_results(results, folder)
         print(terminal(results))
         for note in filter(None, (found.note for found in opened)):
@@ -256,6 +261,17 @@ def _known(kind: str, names: Iterable[str], known: Iterable[str]) -> None:
             raise ValueError(f"unknown {kind} {name!r}; {nearest(name, known)}")
 
 
+def _folder(path: Path) -> Path:
+    """``path`` as a folder that can be written to, which is better known before hours of work than after."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        if not os.access(path, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        raise ValueError(f"{path}: not a folder that results can be written to ({error.strerror}); choose another with --out") from error
+    return path
+
+
 def _methods(names: Iterable[str]) -> dict:
     from ..methods.registry import methods
 
@@ -275,6 +291,9 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"run": Run, "table": Table, "picture": Picture, "check": Check, "download": Download, "list": List}
     try:
+        if arguments == ["--version"]:
+            print(f"twinbench {version('twinbench')}")
+            return 0
         if arguments and not arguments[0].startswith("-"):
             _known("command", arguments[:1], commands)
         command = tyro.extras.subcommand_cli_from_dict(
@@ -285,7 +304,8 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (ValueError, OSError) as error:
-        print(f"twinbench: {' '.join(str(error).split())}", file=sys.stderr)
+        said = error.strerror if isinstance(error, OSError) and error.strerror and not error.filename else str(error)  # without [Errno 28]
+        print(f"twinbench: {' '.join(said.split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("twinbench: stopped; the same command goes on from here", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -87,6 +88,9 @@ def test_scenarios_tasks_and_seeds_are_chosen(cases, capsys):
         (["run", "--device", "cuda:0"], "unknown device 'cuda:0'; did you mean 'cuda'? known: cpu, cuda"),
         (["run", "--split", "claen"], "unknown split 'claen'; did you mean 'clean'?"),
         (["run", "--methods", "static", "--data", "nowhere"], "no recordings at nowhere: no such file or folder"),
+        (["run", "--methods"], "--methods needs at least one value"),
+        (["run", "--seeds"], "--seeds needs at least one value"),
+        (["run", "--methods", "static", "--out", __file__], "test_cli.py: not a folder that results can be written to (File exists)"),
         (["table", "nowhere"], "no results in nowhere: rows.parquet is missing"),
         (["table", "nowhere", "--format", "html"], "unknown format 'html'"),
         (["check", "nowhere"], "no recording at nowhere"),
@@ -99,6 +103,17 @@ def test_wrong_input_is_one_line_and_code_2(arguments, message, capsys):
     out, err = capsys.readouterr()
     assert err.startswith("twinbench: ") and message in err and err.count("\n") == 1
     assert "Traceback" not in out + err
+
+
+def test_a_cache_that_cannot_be_written_is_named(cases, capsys, monkeypatch):
+    monkeypatch.setenv("TWINBENCH_CACHE", os.devnull)
+    assert run("--data", cases) == 2
+    assert capsys.readouterr().err.startswith(f"twinbench: {os.devnull}/")
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"twinbench \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
 def test_unknown_scenario_suggests_the_nearest(cases, capsys):
