@@ -11,6 +11,8 @@ State of substep s lives in slot ``s % slots``: two slots to run, one per subste
 Nodes of one system are contiguous: particles first, then controllers. A node with ``driver >= 0`` follows that controller's path.
 """
 
+import os
+import sys
 from dataclasses import dataclass
 from functools import cache
 from types import SimpleNamespace
@@ -61,12 +63,21 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
 
 
 def _init():
-    """Start Warp without its remark that there is no GPU: whoever asks for one hears that from torch."""
-    level, wp.config.log_level = wp.config.log_level, wp.LOG_ERROR
+    """Start Warp. Without a GPU its library says so on stderr, past any log level; whoever asks for one hears that from torch."""
+    import torch
+
+    if torch.cuda.is_available():
+        wp.init()
+        return
+    sys.stderr.flush()
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
+        os.dup2(nowhere, 2)
         wp.init()
     finally:
-        wp.config.log_level = level
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
 
 
 def _kit(laws: Laws, R) -> SimpleNamespace:

@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
+import warp as wp
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from twinbench.physics.batch import Batch
@@ -154,6 +155,8 @@ def test_distances_come_from_the_table_not_from_the_systems():
 def test_cuda_finds_what_the_cpu_finds(double):
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
+    if not wp.is_cpu_available():
+        pytest.skip("this Warp comes without its compiler for the CPU")
     random = np.random.default_rng(2)
     systems = [system(random.random((n, 3)) * 0.1, d, controllers=1) for n, d in ((3000, 0.01), (1, 0.1), (500, 0.03), (2000, 0.004))]
     found = []

@@ -38,13 +38,31 @@ def march(made, device, *, double, team=None):
     return out.detach().cpu(), {f.name: getattr(inputs, f.name).grad.cpu() for f in fields(Inputs)}
 
 
+def loss_of(made, team):
+    """The scalar that ``march`` takes the gradient of."""
+    from twinbench.physics.batch import Batch
+
+    batch = Batch(made, fps=100, substeps=40, dt=5e-5, device="cuda", double=True, team=team)
+    out, x, v = batch.march(0, 3)
+    weight = np.random.default_rng(0).normal(size=tuple(out.shape))
+    return float((out * out.new_tensor(weight)).sum() + (x**2).sum() + (v**2).sum())
+
+
+def on_cpu(made):
+    import warp
+
+    if not warp.is_cpu_available():
+        pytest.skip("this Warp comes without its compiler for the CPU")
+    return march(made, "cpu", double=True)
+
+
 @pytest.mark.parametrize("collide", [False, True])
 @pytest.mark.parametrize("team", [(1, 256, 1), (1, 128, 4), (6, 64, 8)])
 def test_cuda_agrees_with_cpu(cuda, collide, team):
     # the same sums in another order: float64 rounding, grown over 120 substeps
     made = systems(3, collide)
-    here, grads_here = march(made, "cpu", double=True)
     there, grads_there = march(made, "cuda", double=True, team=team)
+    here, grads_here = on_cpu(made)
     assert (here - there).abs().max() < 1e-11
     for name, grad in grads_here.items():
         assert (grad - grads_there[name]).abs().max() <= 1e-8 * grad.abs().max().clamp(min=1e-12), name
@@ -65,3 +83,36 @@ def test_batched_equals_single_on_cuda(cuda):
     batched, _ = march(made, "cuda", double=False, team=(1, 128, 4))
     single, _ = march(made[:1], "cuda", double=False, team=(1, 128, 4))
     assert (batched[:, : single.shape[1]] == single).all()
+
+
+@pytest.mark.parametrize("team", [(1, 128, 4), (6, 64, 8)])
+def test_gradients_on_cuda_against_central_differences(cuda, team):
+    # (L(u + h) - L(u - h)) / 2h in float64: truncation h^2 and rounding 1e-16 |L| / h are far below the tolerance
+    made = systems(1, False)
+    _, grads = march(made, "cuda", double=True, team=team)
+    for name in ("stiffness", "rest"):
+        index = int(grads[name].abs().argmax())
+        value, h = getattr(made[0], name)[index], 1e-6 * getattr(made[0], name)[index]
+        sides = []
+        for changed in (value + h, value - h):
+            array = getattr(made[0], name).copy()
+            array[index] = changed
+            sides.append(loss_of([replace(made[0], **{name: array})], team))
+        expected = (sides[0] - sides[1]) / (2 * h)
+        assert abs(float(grads[name][index]) - expected) < 1e-4 * abs(expected), name
+
+
+@pytest.mark.parametrize("particles, systems_count", [(500, 1), (5000, 1), (300, 70), (300, 300)])
+def test_teams_chosen_by_default_run(cuda, particles, systems_count):
+    # every size of team that the chooser can name, against the free fall of a body without springs: z = z0 + g dt^2 n (n + 1) / 2
+    from twinbench.benchmark.performance import block
+    from twinbench.physics.batch import Batch
+    from twinbench.physics.terms import Gravity
+
+    one = block(particles, 8, frames=2)
+    one = replace(one, terms=(Gravity(),), springs=np.zeros((0, 2), int), rest=np.zeros(0), stiffness=np.zeros(0))
+    batch = Batch([one] * systems_count, fps=1000, substeps=20, device="cuda", double=True)
+    n, dt = 20, batch.dt[0]
+    for positions in batch.rollout(2).positions:
+        fallen = positions[1].cpu().numpy() - one.positions
+        assert np.abs(fallen - [0, 0, 9.8 * dt**2 * n * (n + 1) / 2]).max() < 1e-12
