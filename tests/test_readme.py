@@ -1,0 +1,167 @@
+"""README.md keeps its word: its commands exist, its example runs, its table is what the program prints, and .ci/run does what it says."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from twinbench.benchmark import cli
+from twinbench.benchmark.plan import TASKS
+from twinbench.benchmark.results import read_results
+from twinbench.methods.registry import methods
+from twinbench.metrics.base import metrics
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = [line.split("  #")[0].strip() for block in re.findall(r"^```bash\n(.*?)^```$", TEXT, re.M | re.S) for line in block.splitlines()]
+COMMANDS += re.findall(r"`((?:pip|twinbench|python3?) [^`]*)`", TEXT)
+EXAMPLE = re.search(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)[1]
+TABLE = re.search(r"^```text\n(.*?)^```$", TEXT, re.M | re.S)[1]
+INSTALL_AND_RUN, INSTALL_AND_TEST = COMMANDS[:2]
+
+SUBCOMMANDS = {"run": cli.Run, "table": cli.Table, "picture": cli.Picture, "check": cli.Check, "download": cli.Download, "list": cli.List}
+
+
+def parts(command):
+    return [shlex.split(part) for part in re.split(r" && ", command)]
+
+
+def calls(program):
+    return [words for command in COMMANDS for words in parts(command) if words[: len(program)] == program]
+
+
+def test_the_first_screen_has_a_picture_two_commands_and_the_table():
+    first = TEXT.split("## ")[0]
+    assert "results/sample.png" in first and first.count("```bash") == first.count("```text") == 1
+    assert INSTALL_AND_RUN == "pip install -e . && twinbench run"
+    assert INSTALL_AND_TEST == 'pip install -e ".[test]" && python -m pytest'
+    assert (ROOT / "results" / "sample.png").stat().st_size < 150_000
+    assert (ROOT / "results" / "sample.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_ci_run_installs_and_tests_as_the_readme_says():
+    script = ROOT / ".ci" / "run"
+    assert os.access(script, os.X_OK)
+    lines = [line.strip() for line in script.read_text().splitlines() if line.strip()]
+    assert lines[-1] == INSTALL_AND_TEST  # last: its exit status is the script's
+    assert "set -euo pipefail" in lines
+    subprocess.run(["bash", "-n", str(script)], check=True)
+
+
+def test_extras_are_there():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = set(re.findall(r"\.\[(\w+)\]", TEXT))
+    assert {"test", "plots", "recordings"} <= named <= set(extras)
+    # the default tests skip nothing for want of a package
+    assert {one for name in named for one in extras[name]} <= set(extras["test"])
+
+
+@pytest.mark.parametrize("command", [shlex.join(words) for words in calls(["twinbench"])])
+def test_twinbench_commands_exist(command):
+    name, *arguments = shlex.split(command)[1:]
+    options = {field.name for field in fields(SUBCOMMANDS[name])}
+    assert {word[2:] for word in arguments if word.startswith("--")} <= options | {"help"}
+
+
+def test_every_subcommand_is_mentioned():
+    assert {words[1] for words in calls(["twinbench"])} == set(SUBCOMMANDS)
+
+
+def test_options_in_the_prose_exist():
+    options = {field.name for command in SUBCOMMANDS.values() for field in fields(command)}
+    assert set(re.findall(r"`--(\w+)", TEXT)) - {"cuda"} <= options
+
+
+@pytest.mark.parametrize("command", [shlex.join(words) for words in calls(["python"]) + calls(["python3"])])
+def test_python_commands_exist(command):
+    module, *arguments = shlex.split(command)[2:]
+    for word in arguments:
+        assert word.startswith((".", "--")) or (ROOT / word).exists()
+    if module == "twinbench.benchmark.performance":
+        printed = subprocess.run([sys.executable, "-m", module, "--help"], capture_output=True, text=True, check=True).stdout
+        assert set(arguments) <= set(re.findall(r"--\w+", printed))
+    else:
+        assert module in ("pytest", "venv")
+
+
+def test_links_lead_somewhere():
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", TEXT):
+        file, _, anchor = target.partition("#")
+        assert (ROOT / file).exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", (ROOT / (file or "README.md")).read_text(encoding="utf-8"), re.M)
+            assert anchor in {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}, target
+
+
+def test_the_example_runs(tmp_path):
+    printed = subprocess.run([sys.executable, "-c", EXAMPLE], capture_output=True, text=True, cwd=tmp_path, check=True).stdout
+    found = float(re.match(r"Score\(mean=([\d.]+), frames=15, unscorable=0\)", printed)[1])
+    assert 0 < found < 0.1  # m: the sample's body is 0.3 m long
+
+
+@pytest.mark.slow
+def test_the_example_runs_with_phystwin(tmp_path):
+    source = EXAMPLE.replace('get_method("rigid")', 'get_method("phystwin")')
+    assert source != EXAMPLE
+    subprocess.run([sys.executable, "-c", source], capture_output=True, cwd=tmp_path, check=True)
+
+
+@pytest.fixture(scope="module")
+def printed_again(tmp_path_factory):
+    """What the first command prints, with the baselines only: their figures take no time and do not depend on the machine."""
+    folder = tmp_path_factory.mktemp("run")
+    environment = os.environ | {"TWINBENCH_CACHE": str(folder / "cache")}
+    script = "import sys; from twinbench.benchmark.cli import main; sys.exit(main())"
+    options = ["run", "--methods", "static", "rigid"]
+    done = subprocess.run([sys.executable, "-c", script, *options], capture_output=True, text=True, cwd=folder, env=environment, check=True)
+    return done.stdout, folder
+
+
+def figures(text):
+    """{(task, method): the row's figures, without its time}."""
+    found, task = {}, ""
+    for line in text.splitlines():
+        if heading := re.match(r"sample, (\w+): ", line):
+            task = heading[1]
+        elif task and (row := re.match(r"(\S+) +((?:[-\d.*]+ +)+)\d+\.\d$", line)):
+            found[task, row[1]] = row[2].replace("*", "").split()
+    return found
+
+
+def test_the_table_is_what_the_command_prints(printed_again):
+    here, there = figures(TABLE), figures(printed_again[0])
+    assert set(here) == {(task, method) for task in TASKS for method in ("static", "rigid", "phystwin")}
+    assert there and {key: here[key] for key in there} == there
+    words = {" ".join(line.split()) for line in printed_again[0].splitlines()}
+    for line in TABLE.splitlines():
+        if not re.match(r"(phystwin|rigid|static) |-{9}", line):  # captions, names of columns, legend
+            assert " ".join(line.split()) in words
+
+
+def test_the_table_shows_a_twin_that_predicts():
+    # what the project asks of itself on the sample: at most half of static's Chamfer distance on frames never seen
+    shown = figures(TABLE)
+    assert float(shown["prediction", "phystwin"][0]) <= 0.5 * float(shown["prediction", "static"][0])
+
+
+def test_what_gets_written_is_named(printed_again):
+    folder = printed_again[1] / "results" / "sample"
+    for file in folder.iterdir():
+        assert f"`{file.name}`" in TEXT
+    assert len(read_results(folder).rows) == 12
+
+
+def test_columns_tasks_and_methods_are_explained():
+    for name in [*metrics(), *TASKS, *methods()]:
+        assert f"`{name}`" in TEXT, name
+
+
+def test_quirks_are_where_it_says():
+    from twinbench.methods.phystwin.config import Quirks
+
+    assert "`Quirks`" in TEXT and Quirks.__module__ == "twinbench.methods.phystwin.config"
