@@ -610,3 +610,10 @@ def test_a_blow_up_is_raised_with_its_frame(twin, lift):
     with pytest.raises(Diverged, match=f"frame {bad[0]}") as caught:
         replace(twin, body=stiff, config=config).rollout(lift.controllers)
     assert caught.value.frame == bad[0]
+
+
+def test_a_body_out_of_the_hands_reach_is_skipped_with_the_reason(lift):
+    far = replace(lift, controllers=lift.controllers + [0.0, 0.0, -5.0])
+    reason = PhysTwin().skip(far)
+    assert PhysTwin().skip(lift) is None
+    assert "no controller is within" in reason and "m away" in reason

@@ -48,6 +48,18 @@ class PhysTwin(Method):
             body = refine(body, used, config, device=device, progress=progress)
         return PhysTwinTwin(body, Place.of(used[0]), config, device)
 
+    def skip(self, scenario) -> str | None:
+        from .config import ranges
+
+        hands = scenario.grips < 0
+        if not hands.any() or not hands.all():
+            return None  # driven markers hold the body themselves
+        apart = np.linalg.norm(scenario.controllers[0][:, None] - scenario.structure[None], axis=2).min()
+        reach = next(p.high for p in ranges(self.presets["full"].quirks, scenario.spacing) if p.name == "controller_radius")
+        if apart > reach:
+            return f"no controller is within {reach:.3g} m of the body in frame 0: the nearest is {apart:.3g} m away"
+        return None
+
     def config(self, preset: str, observed) -> Config:
         """What a preset means on a recording."""
         return self.presets[preset]
