@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.base import Budget, Diverged
-from twinbench.methods.phystwin import PhysTwin, body, first_order, zero_order
+from twinbench.methods.phystwin import METHODS, PhysTwin, body, first_order, zero_order
 from twinbench.methods.phystwin.body import Place, build, regrip, roll, system, time_step
 from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, SEARCHED, Config, Quirks, ranges
 from twinbench.methods.phystwin.first_order import refine
@@ -617,3 +617,8 @@ def test_a_body_out_of_the_hands_reach_is_skipped_with_the_reason(lift):
     reason = PhysTwin().skip(far)
     assert PhysTwin().skip(lift) is None
     assert "no controller is within" in reason and "m away" in reason
+
+
+def test_as_published_is_for_thirty_frames_a_second(lift):
+    assert METHODS[-1]().skip(lift) is None
+    assert "30 frames/s, and this recording has 100" in METHODS[-1]().skip(replace(lift, fps=100.0))
