@@ -10,6 +10,10 @@ _PUBLIC = {
     "Twin": "methods.base",
     "Trajectory": "methods.base",
     "Budget": "methods.base",
+    "open_collection": "datasets.collection",
+    "get_method": "methods.registry",
+    "get_metric": "metrics.base",
+    "score": "metrics.base",
 }
 __all__ = list(_PUBLIC)
 

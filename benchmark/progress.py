@@ -14,7 +14,7 @@ class Bar:
     def __enter__(self):
         from tqdm import tqdm
 
-        shape = "{desc} {percentage:3.0f}%|{bar}| {elapsed}<{remaining}"
+        shape = "{desc} {percentage:3.0f}%|{bar}| {elapsed}"
         self._bar = tqdm(total=1.0, disable=None, leave=False, bar_format=shape, desc=self._title, dynamic_ncols=True)
         return self
 

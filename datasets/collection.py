@@ -87,7 +87,9 @@ def open_collection(path: str | Path, *, split: str = "published") -> Collection
     for layout in known.values():
         if layout.matches(path):
             return layout.open(path, split=split)
-    raise ValueError(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it")
+    inside = [f.name for f in sorted(path.iterdir()) if any(layout.matches(f) for layout in known.values())] if path.is_dir() else []
+    hint = f"; but one recognises {', '.join(inside[:8])} in it" if inside else ""
+    raise ValueError(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it{hint}")
 
 
 def nearest(name: str, known) -> str:

@@ -29,7 +29,7 @@ class Chamfer(Metric):
     """Mean Manhattan distance from each visible tracked point to the nearest predicted surface particle [m].
 
     Nearest is meant in the Manhattan norm too, interior particles are left out, and only this direction counts, as in
-    PhysTwin's evaluation (arXiv 2503.18973, section 5, as executed). It is up to sqrt(3) times the Euclidean figure.
+    PhysTwin's evaluation (arXiv 2503.17973, section 5, as executed). It is up to sqrt(3) times the Euclidean figure.
     """
 
     name, unit, direction, version = "chamfer", "m", "lower", 1

@@ -469,7 +469,7 @@ def test_a_joint_fit_stands_in_the_first_recording(lift, swing):
 def test_the_stages_report_progress(lift):
     calls = []
     Tiny().fit([lift], budget=Budget(), progress=lambda stage, share: calls.append((stage.split(",")[0], share)))
-    assert calls == [("CMA-ES", 1.0), ("gradients", 1.0)]
+    assert calls == [("CMA-ES", 0.5), ("gradients", 1.0)]  # each stage is half of the work
 
 
 def test_no_more_recordings_and_frames_are_fitted_than_the_preset_says(lift, swing, monkeypatch):

@@ -40,12 +40,12 @@ class PhysTwin(Method):
         used = [_first_frames(o, config.frames) for o in used]
         values = {p.name: p.value for p in ranges(config.quirks, used[0].spacing)}
         if "zero" in self.stages:
-            values = search(used, config, seed=seed, device=device, progress=progress)
+            values = search(used, config, seed=seed, device=device, progress=_share(progress, self.stages, "zero"))
         if config.quirks.truncated_dampings:
             values = {k: float(int(v)) if k.endswith("_damping") else v for k, v in values.items()}
         body = build(values, Place.of(used[0]))
         if "first" in self.stages:
-            body = refine(body, used, config, device=device, progress=progress)
+            body = refine(body, used, config, device=device, progress=_share(progress, self.stages, "first"))
         return PhysTwinTwin(body, Place.of(used[0]), config, device)
 
     def skip(self, scenario) -> str | None:
@@ -100,6 +100,13 @@ class PhysTwinAsPublished(PhysTwin):
 
 
 METHODS = (PhysTwin, PhysTwinZero, PhysTwinFirst, PhysTwinAsPublished)
+
+
+def _share(progress, stages, stage):
+    """The progress of one stage as its share of the whole fit's; stages count alike."""
+    if progress is None:
+        return None
+    return lambda label, fraction: progress(label, (stages.index(stage) + fraction) / len(stages))
 
 
 def _same_body(observed):

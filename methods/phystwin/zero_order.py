@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -24,7 +25,9 @@ def search(
     observed: Sequence[Observed], config: Config, *, seed: int, device: str, progress: Callable[[str, float], None] | None = None
 ) -> dict[str, float]:
     """The best parameters ever evaluated, the published start included."""
-    import cma
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # cma's remark that it could not draw
+        import cma
 
     places = [Place.of(o) for o in observed]
     losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=device) for o in observed]
