@@ -154,7 +154,9 @@ class March(torch.autograd.Function):
             ctx.starts.append((x, v, near))
             batch.forward(world, frame, stretch)
             x, v = world.end(stretch)
-            ctx.world = world if keep else None
+            if keep:
+                world.set(out=out.new_empty((0, *out.shape[1:])))  # an output that its own context held would never be freed
+                ctx.world = world
         ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
         ctx.batch, ctx.frame, ctx.stretches = batch, frame, stretches
         return out, x, v

@@ -1,7 +1,9 @@
 """Gradients of roll-outs against central differences in float64, for every input and for every parameter of every term there is."""
 
+import gc
 import importlib
 import pkgutil
+import weakref
 from dataclasses import fields
 
 import numpy as np
@@ -9,6 +11,7 @@ import pytest
 import torch
 import twinbench.physics.batch as engine
 import twinbench.physics.terms as rooms
+from twinbench.physics import march
 from twinbench.physics.batch import Batch, Inputs
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs, Term
@@ -275,3 +278,25 @@ def test_a_fit_through_torch_recovers_the_stiffness():
         (batch.split(out)[0] - observed).square().sum().backward()
         adam.step()
     assert log_y.exp().item() == pytest.approx(25.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("room", [None, 8])
+def test_a_way_back_is_freed_with_its_result(room, monkeypatch):
+    # histories are large: nothing may keep one alive once the result is gone
+    kept = []
+    real = march.World.__init__
+
+    def spy(self, *args):
+        real(self, *args)
+        kept.append(weakref.ref(self))
+
+    monkeypatch.setattr(march.World, "__init__", spy)
+    batch = batch_of(AIR)
+    if room:
+        monkeypatch.setattr("twinbench.physics.batch.HISTORY_BYTES", room * batch.node_count * 8 * 14)
+    inputs = leaves(batch)
+    total = loss(batch, inputs)
+    total.backward()
+    del total
+    gc.collect()
+    assert kept and all(reference() is None for reference in kept)
