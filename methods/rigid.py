@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .base import Trajectory
+from .registration import rigid_transform
 from .static import Static, StaticTwin
 
 __all__ = ["METHODS", "Rigid", "RigidTwin", "rigid_motion"]
@@ -20,12 +21,9 @@ def rigid_motion(source, target, *, tolerance: float = 1e-2) -> tuple[np.ndarray
     if not len(source):
         return np.eye(3), np.zeros(3)
     centre, centre_now = source.mean(axis=0), target.mean(axis=0)
-    rotation = np.eye(3)
     if _spans_a_plane(source - centre, tolerance) and _spans_a_plane(target - centre_now, tolerance):
-        u, _, vt = np.linalg.svd((target - centre_now).T @ (source - centre))
-        proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-        rotation = u @ proper @ vt
-    return rotation, centre_now - rotation @ centre
+        return rigid_transform(source, target)
+    return np.eye(3), centre_now - centre
 
 
 def _spans_a_plane(centred, tolerance) -> bool:

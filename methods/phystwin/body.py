@@ -152,10 +152,9 @@ def roll(
     substeps, dt = zip(*steps, strict=True)
     batch = Batch(systems, fps=fps, substeps=substeps, dt=dt, device=device)
     if config.quirks.acceleration_loss:
-        positions, velocities = _frame_by_frame(batch, frames)
-    else:
-        positions, velocities = batch.rollout(frames).positions, [None] * len(systems)
-    return [Motion(x, v, first_bad(x)) for x, v in zip(positions, velocities, strict=True)]
+        return [Motion(x, v, first_bad(x)) for x, v in zip(*_frame_by_frame(batch, frames), strict=True)]
+    rolled = batch.rollout(frames)
+    return [Motion(x, None, int(bad)) for x, bad in zip(rolled.positions, rolled.diverged, strict=True)]
 
 
 def _frame_by_frame(batch, frames):
