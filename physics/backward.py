@@ -9,7 +9,7 @@ Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` be
 
 import warp as wp
 
-from .forward import node_functions
+from .forward import node_functions, sighting
 from .native import barrier
 from .paths import give_path, give_speed, speed
 
@@ -21,7 +21,7 @@ def make_backward(kit):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
     pa = kit.vectors["axial"]
-    load_axial, load_body, load_velocity, load_contact, load_move = kit.load.values()
+    load_axial, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
     get_x, get_v, sum3, sum_axial, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.give
     node, end, _inertia = node_functions(kit)
     back_move = _back_move(kit)
@@ -57,6 +57,7 @@ def make_backward(kit):
         width = blocks * wp.block_dim()
         p_axial = load_axial(w.table, b)
         p_body = load_body(w.table, b)
+        p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
         p_move = load_move(w.table, b)
@@ -69,7 +70,7 @@ def make_backward(kit):
             if wp.static(colliding):
                 if k < count:
                     for i in range(lo + lane, hi, width):
-                        back_contacts(w, a, k, i, dt, p_velocity, p_body, p_contact)
+                        back_contacts(w, a, k, i, frame, begin + k, substeps, dt, p_velocity, p_body, p_observer, p_contact)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             for base in range(lo, hi, width // lanes):
@@ -128,7 +129,7 @@ def make_backward(kit):
                         a.x[i] = gx
                         a.met[i] = gv
                     else:
-                        back_push(w, a, k - 1, i, dt, gx, gv, p_velocity, p_body)
+                        back_push(w, a, k - 1, i, frame, step - 1, substeps, dt, gx, gv, p_velocity, p_body, p_observer)
             round += 1
             barrier(w.counters, team, blocks, round)
 
@@ -159,20 +160,41 @@ def _back_move(kit):
 
 
 def _back_push(kit):
-    R, vec, World, Adjoint, pv, pb = kit.R, kit.vec, kit.World, kit.Adjoint, kit.vectors["velocity"], kit.vectors["body"]
+    R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
+    pv, pb, po = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["observer"]
     velocity, body, get_x, get_v, give = kit.laws.velocity, kit.laws.body, kit.get_x, kit.get_v, kit.give
-    give_velocity, give_body = kit.give_all["velocity"], kit.give_all["body"]
+    watching, observer = kit.watching, kit.laws.observer
+    give_velocity, give_body, give_observer = kit.give_all["velocity"], kit.give_all["body"], kit.give_all["observer"]
+    sighted = sighting(kit)
 
     @wp.func
     def velocity_dot(v: vec, dt: R, p: pv, g: vec):
         return wp.dot(g, velocity(v, dt, p))
 
     @wp.func
-    def body_dot(x: vec, v: vec, m: R, p: pb, g: vec):
-        return wp.dot(g, body(x, v, m, p))
+    def body_dot(x: vec, v: vec, home: vec, m: R, p: pb, g: vec):
+        return wp.dot(g, body(x, v, home, m, p))
 
     @wp.func
-    def back_push(w: World, a: Adjoint, slot: int, i: int, dt: R, gx: vec, g: vec, p_velocity: pv, p_body: pb):
+    def observer_dot(x: vec, v: vec, home: vec, y: vec, u: vec, m: R, p: po, g: vec):
+        return wp.dot(g, observer(x, v, home, y, u, m, p))
+
+    @wp.func
+    def back_push(
+        w: World,
+        a: Adjoint,
+        slot: int,
+        i: int,
+        frame: int,
+        step: int,
+        substeps: int,
+        dt: R,
+        gx: vec,
+        g: vec,
+        p_velocity: pv,
+        p_body: pb,
+        p_observer: po,
+    ):
         """From the velocity before contacts back through drag and body forces; leaves the adjoint of the force for the springs."""
         x = get_x(w.state, slot * w.nodes + i)
         v = get_v(w.state, slot * w.nodes + i)
@@ -180,7 +202,16 @@ def _back_push(kit):
         pushed = w.pushed[slot, i]
         gpush, _dt, gp, _g = wp.grad(velocity_dot)(pushed, dt, p_velocity, g)
         gf = gpush * (dt / m)
-        bx, bv, bm, bp, _bg = wp.grad(body_dot)(x, v, m, p_body, gf)
+        bx, bv, _bh, bm, bp, _bg = wp.grad(body_dot)(x, v, w.home[i], m, p_body, gf)
+        if wp.static(watching):
+            y, u, weight = sighted(w, i, frame, step, substeps, dt)
+            if weight > R(0.0):
+                ox, ov, _oh, _oy, _ou, om, op, _og = wp.grad(observer_dot)(x, v, w.home[i], y, u, m, p_observer, gf * weight)
+                bx += ox
+                bv += ov
+                bm += om
+                if a.wants_table > 0:
+                    give_observer(a.observer, i, op)
         if a.wants_table > 0:
             give_velocity(a.velocity, i, gp)
             give_body(a.body, i, bp)
@@ -229,7 +260,7 @@ def _back_pull(kit):
 
 def _back_contacts(kit, back_push):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
-    pv, pb, pc = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["contact"]
+    pv, pb, po, pc = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["observer"], kit.vectors["contact"]
     contact, get_x, give, give_contact = kit.laws.contact, kit.get_x, kit.give, kit.give_all["contact"]
     _node, _end, inertia = node_functions(kit)
 
@@ -238,7 +269,9 @@ def _back_contacts(kit, back_push):
         return wp.dot(g, contact(xi, xj, vi, vj, mi, mj, p))
 
     @wp.func
-    def back_contacts(w: World, a: Adjoint, slot: int, i: int, dt: R, p_velocity: pv, p_body: pb, p: pc):
+    def back_contacts(
+        w: World, a: Adjoint, slot: int, i: int, frame: int, step: int, substeps: int, dt: R, p_velocity: pv, p_body: pb, p_observer: po, p: pc
+    ):
         """v_i' = v_i + mean_j J_ij / m_i, and J_ji = -J_ij: particle i collects its part in its own and its partners' sums."""
         x = get_x(w.state, slot * w.nodes + i)
         v = w.free[slot, i]
@@ -271,6 +304,6 @@ def _back_contacts(kit, back_push):
             a.x[i] = gx
             a.v[i] = gv
         else:
-            back_push(w, a, slot, i, dt, a.x[i] + gx, mine + gv, p_velocity, p_body)
+            back_push(w, a, slot, i, frame, step, substeps, dt, a.x[i] + gx, mine + gv, p_velocity, p_body, p_observer)
 
     return back_contacts

@@ -132,8 +132,13 @@ class Batch:
         self.node_count, self.frame_count = count, frames
         self.starts, self.sizes = start, sizes
         integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
-        self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()} | {"dt": self._real(self.dt)}
+        self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()}
+        self.constants |= {"dt": self._real(self.dt), "home": self._real(x)}
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
+        self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
+        self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
+        self.ends = self._ints(ends).long()
+        self._watch(nodes)
         table = np.zeros((len(systems), len(self.columns)))
         for k, s in enumerate(systems):
             values = s.values
@@ -147,6 +152,24 @@ class Batch:
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
         )
+
+    def _watch(self, nodes):
+        """What observers saw, once for all systems that share the same arrays."""
+        columns, seen, sight, watch = {}, [], [], []
+        for system, count in zip(self.systems, nodes, strict=True):
+            column = np.full(count, -1)
+            if system.seen is not None:
+                if id(system.seen) not in columns:
+                    columns[id(system.seen)] = sum(s.shape[1] for s in seen)
+                    seen.append(system.seen)
+                    sight.append(system.sight)
+                column[: system.particle_count] = columns[id(system.seen)] + np.arange(system.particle_count)
+            watch.append(column)
+        frames = max((len(s) for s in seen), default=0)
+        seen = [np.concatenate([s, np.zeros((frames - len(s), *s.shape[1:]))]) for s in [*seen, np.zeros((0, 0, 3))]]
+        sight = [np.concatenate([s, np.zeros((frames - len(s), *s.shape[1:]))]) for s in [*sight, np.zeros((0, 0))]]
+        self.constants["watch"] = self._ints(np.concatenate(watch))
+        self.constants["seen"], self.constants["sight"] = self._real(np.concatenate(seen, 1)), self._real(np.concatenate(sight, 1))
 
     def _ints(self, value):
         return torch.tensor(np.asarray(value), dtype=torch.int32, device=self.device)
@@ -189,7 +212,16 @@ class Batch:
         frame, frames = _whole("frame", frame, 0), _whole("frames", frames, 0)
         inputs = inputs or self.inputs
         self._check(inputs)
+        inputs = self.prepare(inputs)
         return March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+
+    def prepare(self, inputs: Inputs) -> Inputs:
+        """``inputs`` as the setup terms make them: a torch function, so gradients reach the parameters that it reads."""
+        first = self.laws.start("setup")
+        for term, offset in self.laws.stage("setup"):
+            values = {p.name: inputs.table[:, first + offset + k] for k, p in enumerate(term.parameters)}
+            inputs = term.prepare(self, inputs, values)
+        return inputs
 
     def _check(self, inputs):
         """Refuse tensors that the kernels would read past."""

@@ -5,7 +5,7 @@ import warp as wp
 from .native import barrier
 from .paths import along, speed
 
-__all__ = ["make_forward", "node_functions"]
+__all__ = ["make_forward", "node_functions", "sighting"]
 
 HELD_MASS = 1.0e30  # kg, stands for infinity
 
@@ -40,15 +40,36 @@ def node_functions(kit):
     return node, end, inertia
 
 
+def sighting(kit):
+    """The function that tells what observers saw of node ``i`` at ``step`` of ``substeps`` after ``frame``: (position, velocity, weight)."""
+    R, vec, World = kit.R, kit.vec, kit.World
+
+    @wp.func
+    def sighted(w: World, i: int, frame: int, step: int, substeps: int, dt: R):
+        c = w.watch[i]
+        f = frame + step // substeps
+        if c < 0 or f + 1 >= w.seen.shape[0]:
+            return vec(), vec(), R(0.0)
+        if w.sight[f, c] <= R(0.0):
+            return vec(), vec(), R(0.0)
+        moved = w.seen[f + 1, c] - w.seen[f, c]
+        share = R(step % substeps) / R(substeps)
+        return w.seen[f, c] + moved * share, moved / (R(substeps) * dt), w.sight[f, c]
+
+    return sighted
+
+
 def make_forward(kit):
     """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first being ``begin`` after ``frame``."""
     R, vec, World = kit.R, kit.vec, kit.World
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
     pa, pc = kit.vectors["axial"], kit.vectors["contact"]
     axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
-    load_axial, load_body, load_velocity, load_contact, load_move = kit.load.values()
+    watching, observer = kit.watching, kit.laws.observer
+    load_axial, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
     get_x, get_v, put, sum3 = kit.get_x, kit.get_v, kit.put, kit.sum3
     node, end, inertia = node_functions(kit)
+    sighted = sighting(kit)
 
     @wp.func
     def follow(w: World, i: int, slot: int, frame: int, step: int, substeps: int, dt: R, share: R):
@@ -97,6 +118,7 @@ def make_forward(kit):
         width = blocks * wp.block_dim()
         p_axial = load_axial(w.table, b)
         p_body = load_body(w.table, b)
+        p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
         p_move = load_move(w.table, b)
@@ -148,7 +170,11 @@ def make_forward(kit):
                     if wp.static(colliding) or record:
                         w.free[here, i] = v
                 else:
-                    f += body(x, v, m, p_body)
+                    f += body(x, v, w.home[i], m, p_body)
+                    if wp.static(watching):
+                        y, u, weight = sighted(w, i, frame, step, substeps, dt)
+                        if weight > R(0.0):
+                            f += observer(x, v, w.home[i], y, u, m, p_observer) * weight
                     v = v + f * (dt / m)
                     if record:
                         w.pushed[here, i] = v

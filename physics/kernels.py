@@ -22,13 +22,11 @@ import warp as wp
 
 from .laws import Laws
 from .native import adder, lane_sum, state_access
-from .terms.base import STAGES
+from .terms.base import STAGED
 
 __all__ = ["Kernels", "build"]
 
 wp.config.log_level = wp.LOG_WARNING  # no banner on the user's terminal
-
-STAGED = STAGES[:5]
 
 
 @dataclass(frozen=True)
@@ -95,6 +93,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         laws=laws.fuse(),
         links=laws.start("links"),
         colliding=bool(laws.stage("contact")),
+        watching=bool(laws.stage("observer")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
         get_x=get_x,
         get_v=get_v,
@@ -121,7 +120,7 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, pb, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
 
     @wp.struct
     class World:
@@ -136,6 +135,10 @@ def _structs(R, vec, vectors):
         rest: wp.array(dtype=R)  # (ends,) m
         stiffness: wp.array(dtype=R)  # (ends,) N
         mass: wp.array(dtype=R)  # (nodes,) kg
+        home: wp.array(dtype=vec)  # (nodes,) m, where the node was in frame 0
+        watch: wp.array(dtype=wp.int32)  # (nodes,) its column in ``seen``, or -1
+        seen: wp.array2d(dtype=vec)  # (T, columns) m, where observers saw particles
+        sight: wp.array2d(dtype=R)  # (T, columns) weight of what was seen between this frame and the next, 0 where it was not
         driver: wp.array(dtype=wp.int32)  # (nodes,) the controller that moves it, or -1
         lead: wp.array(dtype=wp.int32)  # (nodes,) 1: forces see the controller at the end of the substep (published), 0: at its start
         path: wp.array2d(dtype=vec)  # (T, controllers) m
@@ -165,6 +168,7 @@ def _structs(R, vec, vectors):
         path: wp.array2d(dtype=vec)
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
         body: wp.array(dtype=pb)
+        observer: wp.array(dtype=po)
         velocity: wp.array(dtype=pv)
         contact: wp.array(dtype=pc)
         move: wp.array(dtype=pm)

@@ -44,8 +44,15 @@ class Laws:
         return sum(self.width(s) for s in STAGES[: STAGES.index(stage)])
 
     def fuse(self) -> SimpleNamespace:
-        """One Warp function, generic in its precision, for each stage: axial, body, velocity, contact (None without one) and move."""
-        return SimpleNamespace(axial=_axial(self), body=_body(self), velocity=_velocity(self), contact=_contact(self), move=_move(self))
+        """One Warp function, generic in its precision, for each stage: axial, body, observer, velocity, contact (None without one), move."""
+        return SimpleNamespace(
+            axial=_axial(self),
+            body=_body(self),
+            observer=_observer(self),
+            velocity=_velocity(self),
+            contact=_contact(self),
+            move=_move(self),
+        )
 
 
 def _axial(laws):
@@ -68,7 +75,7 @@ def _plus_axial(before, law, offset):
 
 def _body(laws):
     @wp.func
-    def total(x: Any, v: Any, m: Any, p: Any):
+    def total(x: Any, v: Any, home: Any, m: Any, p: Any):
         return type(x)()
 
     for term, offset in laws.stage("body"):
@@ -78,8 +85,26 @@ def _body(laws):
 
 def _plus_body(before, law, offset):
     @wp.func
-    def total(x: Any, v: Any, m: Any, p: Any):
-        return before(x, v, m, p) + law(x, v, m, p, offset)
+    def total(x: Any, v: Any, home: Any, m: Any, p: Any):
+        return before(x, v, home, m, p) + law(x, v, home, m, p, offset)
+
+    return total
+
+
+def _observer(laws):
+    @wp.func
+    def total(x: Any, v: Any, home: Any, y: Any, u: Any, m: Any, p: Any):
+        return type(x)()
+
+    for term, offset in laws.stage("observer"):
+        total = _plus_observer(total, term.law, offset)
+    return total
+
+
+def _plus_observer(before, law, offset):
+    @wp.func
+    def total(x: Any, v: Any, home: Any, y: Any, u: Any, m: Any, p: Any):
+        return before(x, v, home, y, u, m, p) + law(x, v, home, y, u, m, p, offset)
 
     return total
 

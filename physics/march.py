@@ -11,7 +11,7 @@ import warp as wp
 from torch.autograd.function import once_differentiable
 
 from .contacts import candidates
-from .terms.base import STAGES
+from .terms.base import STAGED
 
 __all__ = ["Adjoint", "Inputs", "March", "Stretch", "World"]
 
@@ -54,7 +54,7 @@ class Carrier:
         self.set(**tensors)
 
     def set(self, **tensors):
-        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out"}
+        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen"}
         for name, tensor in tensors.items():
             kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
             dtype = wp.int32 if tensor.dtype == torch.int32 else kind
@@ -116,7 +116,7 @@ class Adjoint(Carrier):
         def zeros(width):
             return torch.zeros((batch.node_count, width), dtype=batch.dtype, device=batch.device)
 
-        stages = {s: zeros(batch.laws.width(s)) for s in ("axial", "body", "velocity", "contact", "move")}
+        stages = {s: zeros(batch.laws.width(s)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path")}
         super().__init__(
             batch.kernels,
@@ -132,8 +132,9 @@ class Adjoint(Carrier):
     def gradients(self):
         """By input: the state's at the start, and everything else's summed over the whole way."""
         t, batch = self.tensors, self.batch
-        shares = torch.cat([t[s].reshape(batch.node_count, -1) for s in STAGES], 1)
-        table = torch.stack([shares[a:b].sum(0) for a, b in pairwise(batch.starts)])
+        shares = torch.cat([t[s].reshape(batch.node_count, -1) for s in (*STAGED, "links")], 1)
+        table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
+        table[:, : shares.shape[1]] = torch.stack([shares[a:b].sum(0) for a, b in pairwise(batch.starts)])
         return {"x": t["x"], "v": t["v"], "table": table, **{k: t[k] for k in ("mass", "rest", "stiffness", "path")}}
 
 

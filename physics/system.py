@@ -26,6 +26,8 @@ class System:
     controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
     grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
     terms        the physics, each name and each parameter name once
+    seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
+    sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
     """
 
     positions: np.ndarray
@@ -37,6 +39,8 @@ class System:
     masses: np.ndarray | None = None
     rest: np.ndarray | None = None
     grips: np.ndarray | None = None
+    seen: np.ndarray | None = None
+    sight: np.ndarray | None = None
     name: str = ""
 
     def __post_init__(self):
@@ -84,6 +88,23 @@ class System:
         refuse(self.stiffness < 0, lambda e: f"spring stiffness must be >= 0 [N], got {self.stiffness[e]} at spring {e}")
         own("rest", len(springs), default=self.lengths())
         refuse(self.rest <= 0, lambda e: f"spring rest length must be > 0 [m], got {self.rest[e]} at spring {e}, {springs[e].tolist()}")
+
+        if self.seen is not None:
+            self._own_sightings(count)
+
+    def _own_sightings(self, count):
+        seen = np.asarray(self.seen, float)
+        if seen.ndim != 3 or seen.shape[1:] != (count, 3):
+            raise ValueError(f"seen must have shape (T, {count}, 3), got {seen.shape}")
+        sight = _array("sight", np.ones(seen.shape[:2]) if self.sight is None else self.sight, seen.shape[:2], False).copy()
+        if (sight < 0).any():
+            raise ValueError(f"sight must be >= 0, got {sight.min()}")
+        here = np.isfinite(seen).all(2)
+        sight[~here] = sight[-1] = 0
+        sight[:-1][~here[1:]] = 0
+        object.__setattr__(self, "seen", _array("seen", np.where(here[..., None], seen, 0.0), seen.shape, False))
+        sight.flags.writeable = False
+        object.__setattr__(self, "sight", sight)
 
     @property
     def particle_count(self) -> int:

@@ -20,7 +20,7 @@ from twinbench.physics.topology import controller_springs, object_springs
 PARTICLES, FRAMES, SUBSTEPS = 40, 4, 25  # 100 substeps
 NAMES = [f.name for f in fields(Inputs)]
 AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
-VALUES = dict(dashpot_damping=5.0, gravity_x=1.0, collision_dist=0.03, controller_velocity=0.7, ground_offset=0.003, ground_normal_x=0.1)
+VALUES = dict(observer_bandwidth=3.0, dashpot_damping=5.0, gravity_x=1.0, collision_dist=0.03, controller_velocity=0.7, ground_offset=0.003, ground_normal_x=0.1)
 
 
 def found_terms():
@@ -49,7 +49,10 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
     springs = np.concatenate([object_springs(points, radius=0.035, max_neighbours=10), ties])
     nodes = np.concatenate([points, path[0]])
     rest = np.linalg.norm(nodes[springs[:, 0]] - nodes[springs[:, 1]], axis=1) * rng.uniform(0.9, 1.1, len(springs))
-    terms = [k({p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES}) for k in kinds]
+    values = VALUES | {name: value for k in kinds if k.effect for name, value in k.effect.typical.items()}
+    terms = [k({p.name: values[p.name] for p in k.parameters if p.name in values}) for k in kinds]
+    seen = points + np.cumsum(rng.normal(size=(FRAMES, count, 3)) * 0.003, 0)
+    seen[2, ::3] = np.nan
     return System(
         positions=points,
         velocities=rng.normal(size=points.shape) * 0.3 + [0.2, 0.0, 0.3],
@@ -59,6 +62,7 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
         stiffness=rng.uniform(50, 100, len(springs)),
         controllers=path,
         grips=[0, -1] if grip else None,
+        seen=seen,
         terms=terms,
     )
 

@@ -21,7 +21,8 @@ from twinbench.physics.terms.base import STAGES, Term
 SAMPLES, OFFSET = 500, 2  # the term's parameters do not come first in their stage's vector
 INPUTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
-    "body": ("x", "v", "m"),
+    "body": ("x", "v", "home", "m"),
+    "observer": ("x", "v", "home", "y", "u", "m"),
     "velocity": ("v", "dt"),
     "contact": ("xi", "xj", "vi", "vj", "mi", "mj"),
     "move": ("x", "v", "dt"),
@@ -36,7 +37,7 @@ def found_terms():
 
 
 every_term = pytest.mark.parametrize("term", found_terms(), ids=lambda t: t.__name__)
-every_law = pytest.mark.parametrize("term", [t for t in found_terms() if t.stage != "links"], ids=lambda t: t.__name__)
+every_law = pytest.mark.parametrize("term", [t for t in found_terms() if t.stage in INPUTS], ids=lambda t: t.__name__)
 
 
 # ---------------------------------------------------------------- what a term declares
@@ -51,7 +52,8 @@ def test_a_term_says_what_it_is(term):
     assert term.stage in STAGES
     assert re.fullmatch("[a-z][a-z_]*", term.name)
     assert term.__doc__ and term.__doc__ != Term.__doc__ and not term.__doc__.startswith(f"{term.__name__}(")  # the dataclass's own
-    assert (term.law is None) == (term.stage == "links")
+    assert (term.law is not None) == (term.stage in INPUTS)
+    assert hasattr(term, "prepare") == (term.stage == "setup")
     for p in term.parameters:
         assert p.unit and p.meaning and p.low < p.high
         assert re.fullmatch("[a-z][a-z_]*", p.name)  # columns that start with _ are padding
@@ -122,9 +124,13 @@ def kernel_of(term):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
 
-    def body(a: A, b: A, c: S, p: Ps, out: A):
+    def body(a: A, b: A, c: A, d: S, p: Ps, out: A):
         i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], p[i], wp.static(OFFSET))
+        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
+    def observer(a: A, b: A, c: A, d: A, e: A, f: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], p[i], wp.static(OFFSET))
 
     def velocity(a: A, b: S, p: Ps, out: A):
         i = wp.tid()
@@ -140,7 +146,7 @@ def kernel_of(term):
         out[i] = x
         out2[i] = v
 
-    stages = dict(axial=axial, body=body, velocity=velocity, contact=contact, move=move)
+    stages = dict(axial=axial, body=body, observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[term.stage], module="unique", enable_backward=False), P
 
 
@@ -164,7 +170,9 @@ def random_inputs(stage, rng):
         return [positive[0], rng.normal(size=SAMPLES), positive[1], 1e3 * positive[2]]
     if stage == "contact":
         return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
-    return {"body": [x[0], v[0], positive[0]], "velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]
+    if stage in ("body", "observer"):
+        return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
+    return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]
 
 
 @every_law
@@ -195,7 +203,7 @@ def hardening(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any, o: int)
 
 
 @wp.func
-def wind(x: Any, v: Any, m: Any, p: Any, o: int):
+def wind(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     f = type(x)()
     f[0] = p[o] * x[2]
     f[1] = p[o + 1]
@@ -230,7 +238,7 @@ class Wind(Term):
     law = wind
 
     @staticmethod
-    def twin(x, v, m, wind_x, wind_y):
+    def twin(x, v, home, m, wind_x, wind_y):
         return np.array([wind_x * x[2], wind_y, 0.0])
 
 
@@ -254,10 +262,10 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    assert Laws(()).columns == ["_axial", "_body", "_velocity", "_contact", "_move", "_links"]
-    assert Laws(AIR).columns == ["dashpot_damping", *gravity, "drag_damping", "_contact", *ground, "controller_velocity"]
+    assert Laws(()).columns == ["_axial", "_body", "_observer", "_velocity", "_contact", "_move", "_links", "_setup"]
+    assert Laws(AIR).columns == ["dashpot_damping", *gravity, "_observer", "drag_damping", "_contact", *ground, "controller_velocity", "_setup"]
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
-    assert Laws((SelfCollision, Springs)).columns == ["_axial", "_body", "_velocity", *contact, "_move", "_links"]
+    assert Laws((SelfCollision, Springs)).columns == ["_axial", "_body", "_observer", "_velocity", *contact, "_move", "_links", "_setup"]
     assert Laws((Wind, Hardening, Gravity)).columns[:7] == ["cubic", "square", "wind_x", "wind_y", *gravity]
 
 
@@ -285,7 +293,7 @@ def numpy_step(system, x, v, dt):
         force[b] -= tension * d
     x2, v2 = np.empty_like(x), np.empty_like(v)
     for i, m in enumerate(system.masses):
-        total = force[i] + sum(t.twin(x[i], v[i], m, **t.values) for t in laws["body"])
+        total = force[i] + sum(t.twin(x[i], v[i], system.positions[i], m, **t.values) for t in laws["body"])
         new = v[i] + dt * total / m
         for t in laws["velocity"]:
             new = t.twin(new, dt, **t.values)

@@ -5,16 +5,18 @@ into one kernel and derives their adjoints, so a term never writes a gradient. `
 
 stage       law                                                      returns
 "axial"     (length, rate, rest, stiffness, p, o)                    tension along the spring [N], positive pulls its ends together
-"body"      (x, v, m, p, o)                                          force on one particle [N]
+"body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
+"observer"  (x, v, home, y, u, m, p, o)                              force on one particle that was seen at y [m], moving with u [m/s]
 "velocity"  (v, dt, p, o)                                            velocity after the stage [m/s]
 "contact"   (xi, xj, vi, vj, mi, mj, p, o)                           impulse on particle i [N s]; pairs meet within p[o]
 "move"      (x, v, dt, p, o)                                         position and velocity after the substep
 "links"     none: the term only adds springs
+"setup"     ``prepare``, in torch: what the system is made of, before it moves (masses, rest lengths, controllers' paths)
 
 Contacts are between particles of one system that approach: (xj - xi) . (vj - vi) < -1e-4 m^2/s. Pairs are looked up once a frame; a contact
 term with a parameter ``collide_neighbours`` of 0 leaves out those that start closer than p[o]. Driven particles do not yield.
 
-Forces are summed over axial and body terms, then v <- velocity(v + dt F / m), then contacts, then move.
+Forces are summed over axial, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -23,14 +25,39 @@ from typing import ClassVar
 from ...datasets.collection import nearest
 from ..parameters import Parameter
 
-__all__ = ["STAGES", "Term"]
+__all__ = ["STAGED", "STAGES", "Effect", "Term"]
 
-STAGES = ("axial", "body", "velocity", "contact", "move", "links")
+STAGES = ("axial", "body", "observer", "velocity", "contact", "move", "links", "setup")
+STAGED = STAGES[:6]  # whose laws are in the kernels
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a term means to someone who asks which physics a twin lacks.
+
+    name        of the effect, as diagnoses print it
+    says        one clause in plain words, after "the twin lacks that ..."
+    amplitudes  the parameters that are 0 where the effect is absent, and in which it is nearly linear while it is small
+    typical     values of a noticeable effect: where tests look, and the scale of a search
+    shapes      values to try of the other parameters, by name
+    place       prefix of parameters ``<place>_x, _y, _z`` [m] that say where on the body (frame 0) or in the room it is, or ""
+    within      the name of the parameter that says how far around ``place`` it reaches [m], or ""
+    motion      what to record in order to see it
+    """
+
+    name: str
+    says: str
+    amplitudes: tuple[str, ...]
+    typical: dict[str, float]
+    shapes: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    place: str = ""
+    within: str = ""
+    motion: str = ""
 
 
 @dataclass(frozen=True)
 class Term:
-    """One law with its parameter values; subclasses declare ``name``, ``stage``, ``parameters`` and ``law``."""
+    """One law with its parameter values; subclasses declare ``name``, ``stage``, ``parameters`` and ``law`` (or ``prepare``)."""
 
     values: dict[str, float] = field(default_factory=dict)
 
@@ -38,6 +65,7 @@ class Term:
     stage: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     law: ClassVar = None
+    effect: ClassVar[Effect | None] = None
 
     def __post_init__(self):
         known = {p.name: p for p in self.parameters}

@@ -11,7 +11,7 @@ __all__ = ["Gravity"]
 
 
 @wp.func
-def weight(x: Any, v: Any, m: Any, p: Any, o: int):
+def weight(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     g = type(x)()
     g[0] = p[o]
     g[1] = p[o + 1]
@@ -31,7 +31,7 @@ class Gravity(Term):
     law = weight
 
     @staticmethod
-    def twin(x, v, m, gravity_x, gravity_y, gravity_z):
+    def twin(x, v, home, m, gravity_x, gravity_y, gravity_z):
         """The same law in numpy."""
         import numpy as np
 
