@@ -36,7 +36,8 @@ class GripPoints(Term):
         """Inputs with other ``rest`` lengths (springs,)."""
         import torch
 
-        home, lead = batch.constants["home"], batch.constants["lead"] > 0
+        home, lead = batch.constants["home"].clone(), batch.constants["lead"] > 0
+        home[lead] = batch.inputs.path[0, batch.constants["driver"][lead].long()]
         shift = torch.stack([values[f"grip_shift_{axis}"] for axis in "xyz"], 1)[batch.spring_system]
         apart = home[batch.ends[:, 1]] - home[batch.ends[:, 0]]
         sign = lead[batch.ends[:, 1]].to(apart.dtype) - lead[batch.ends[:, 0]].to(apart.dtype)

@@ -9,32 +9,35 @@ from .base import Effect, Term
 
 __all__ = ["Wind"]
 
-CROSSOVER = 0.5  # m/s: below this speed of the air past a particle drag is linear in it, above it quadratic
+CALM = 1e-3  # m/s^2: a pull below this has no direction yet, so that the law is smooth where there is no wind
 
 
 @wp.func
 def blow(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
-    w = type(x)()
-    w[0] = p[o]
-    w[1] = p[o + 1]
-    w[2] = p[o + 2]
-    u = w - v
-    s = type(m)(wp.static(CROSSOVER * CROSSOVER))
-    return (u * wp.sqrt(wp.dot(u, u) + s) + v * wp.sqrt(wp.dot(v, v) + s)) * (m * p[o + 3])
+    q = type(x)()
+    q[0] = p[o]
+    q[1] = p[o + 1]
+    q[2] = p[o + 2]
+    calm = type(m)(wp.static(CALM))
+    size = wp.sqrt(wp.dot(q, q) + calm * calm)
+    u = v / p[o + 3]
+    past = q / size - u
+    faint = calm / size  # of no direction where there is no wind: |e|^2 + faint^2 = 1
+    return (q - u * (size - calm)) * (m * wp.sqrt(wp.dot(past, past) + faint * faint))
 
 
 class Wind(Term):
-    """F = m c (f(w - v) - f(-v)), f(u) = u sqrt(|u|^2 + s^2), s = 0.5 m/s: what moving air pulls more than still air.
+    """F = m |q| |e - v / W| (e - v / W), e = q / |q|: the drag equation F = m c |w - v| (w - v) (Rayleigh) with w = W e and c = |q| / W^2.
 
-    f is the drag equation (Rayleigh) above the speed s and linear below it, as small flows are; so the pull is linear in a light wind w.
-    Still air's own drag is another term's. A particle that moves with the wind is pulled less, which tells wind from tilted gravity.
+    q is the pull on a particle at rest, in which the force is linear, and W the wind's speed, at which a particle is pulled no more; for a
+    fast wind the pull is as uniform as gravity. The air's resistance to motion is in the law, and goes with the wind.
     """
 
     name = "wind"
     stage = "body"
     parameters = (
-        *(Parameter(f"wind_{axis}", 0.0, -10.0, 10.0, "m/s", f"velocity of the air along {axis}") for axis in "xyz"),
-        Parameter("wind_drag", 1.0, 0.01, 20.0, "1/m", "drag coefficient of the air that passes a particle", "log"),
+        *(Parameter(f"wind_{axis}", 0.0, -20.0, 20.0, "m/s^2", f"pull per mass of the wind on what is at rest, {axis}") for axis in "xyz"),
+        Parameter("wind_speed", 3.0, 0.2, 50.0, "m/s", "speed of the air", "log"),
     )
     law = blow
     effect = Effect(
@@ -42,14 +45,16 @@ class Wind(Term):
         "the air moves",
         amplitudes=("wind_x", "wind_y", "wind_z"),
         typical={"wind_x": 1.0, "wind_y": 0.5, "wind_z": 0.0},
-        shapes={"wind_drag": (0.3, 3.0)},
+        shapes={"wind_speed": (1.0, 4.0)},
         motion="rest, then fast swings with the wind and against it",
     )
 
     @staticmethod
-    def twin(x, v, home, m, wind_x, wind_y, wind_z, wind_drag):
+    def twin(x, v, home, m, wind_x, wind_y, wind_z, wind_speed):
         """The same law in numpy."""
         import numpy as np
 
-        u = np.array([wind_x, wind_y, wind_z]) - v
-        return (u * np.sqrt(u @ u + CROSSOVER**2) + v * np.sqrt(v @ v + CROSSOVER**2)) * (m * wind_drag)
+        q, u = np.array([wind_x, wind_y, wind_z]), v / wind_speed
+        size = np.sqrt(q @ q + CALM * CALM)
+        past, faint = q / size - u, CALM / size
+        return (q - u * (size - CALM)) * (m * np.sqrt(past @ past + faint * faint))
