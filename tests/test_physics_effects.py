@@ -299,6 +299,15 @@ def test_kinetic_friction_once_it_slides():
     np.testing.assert_allclose(v[0], (1 + G * (np.sin(a) - 0.2 * np.cos(a)) * 0.5) * down, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("speeds", [0.3, 1.0, 2.0])
+def test_friction_falls_with_slip(speeds):
+    # on a level table the normal impulse of a step is m g dt, and friction takes mu(v) g dt: mu = mu_k + a exp(-(v / v_s)^2)
+    dt, v0 = 1e-5, speeds * 0.05
+    system, along = slope(0, friction_excess=0.4, speed=v0)
+    _, v = end(system.with_values(gravity_z=-100 * G), dt, 1)  # impacts below 1e-4 m/s are let through
+    np.testing.assert_allclose(v[0] - v0 * along, -(0.2 + 0.4 * np.exp(-(speeds**2))) * 100 * G * dt * along, rtol=0, atol=1e-14)
+
+
 def test_without_excess_it_is_the_plain_ground_bit_for_bit():
     rng = np.random.default_rng(3)
     x, v = rng.normal(size=(40, 3)), rng.normal(size=(40, 3)) * 2
@@ -540,6 +549,6 @@ def test_all_effects_at_once():
     together = replace(plain, terms=[*plain.terms, *(k() for k in kinds)]).with_values(adhesion_normal_z=1.0)
     typical = {name: 0.1 * value for k in kinds if k.effect for name, value in k.effect.typical.items()}
     systems = [together, together.with_values(**typical)]
-    none, some = Batch(systems, fps=30, substeps=60, double=True, workers=1).rollout().positions
+    none, some = (p.numpy() for p in Batch(systems, fps=30, substeps=60, double=True, workers=1).rollout().positions)
     np.testing.assert_allclose(none, run(GravityTilt, None), rtol=0, atol=1e-11)
     assert np.isfinite(some).all() and np.abs(some - none).max() > 1e-3
