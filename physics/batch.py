@@ -102,12 +102,12 @@ class Batch:
         path_start = np.concatenate([[0], np.cumsum([s.controllers.shape[1] for s in systems])])
         frames = max(len(s.controllers) for s in systems)
         count = int(start[-1])
-        x, v, mass = np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count)
+        x, v, mass, home = np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count), np.zeros((count, 3))
         driver, lead = np.full(count, -1), np.zeros(count)
         ends, paths = [], []
         for k, s in enumerate(systems):
             own = slice(start[k], start[k] + sizes[k])
-            x[own], v[own], mass[own] = s.positions, s.velocities, s.masses
+            x[own], v[own], mass[own], home[own] = s.positions, s.velocities, s.masses, s.home
             index = np.full(sizes[k] + len(s.grips), -1)
             index[: sizes[k]] = np.arange(sizes[k])
             index[sizes[k] + hands[k]] = sizes[k] + np.arange(len(hands[k]))
@@ -133,7 +133,7 @@ class Batch:
         self.starts, self.sizes = start, sizes
         integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
         self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()}
-        self.constants |= {"dt": self._real(self.dt), "home": self._real(x)}
+        self.constants |= {"dt": self._real(self.dt), "home": self._real(home)}
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
         self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()

@@ -26,6 +26,7 @@ class System:
     controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
     grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
     terms        the physics, each name and each parameter name once
+    home         (M, 3) m, where particles were in the frame 0 that parameters speak of, if that is another recording's; the start unless given
     seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
     """
@@ -39,6 +40,7 @@ class System:
     masses: np.ndarray | None = None
     rest: np.ndarray | None = None
     grips: np.ndarray | None = None
+    home: np.ndarray | None = None
     seen: np.ndarray | None = None
     sight: np.ndarray | None = None
     name: str = ""
@@ -64,6 +66,7 @@ class System:
         count = len(self.positions)
         if not count:
             raise ValueError("positions must hold at least one particle, got shape (0, 3)")
+        own("home", count, 3, default=self.positions)
         own("velocities", count, 3, default=np.zeros((count, 3)))
         own("masses", count, default=np.ones(count))
         refuse(self.masses <= 0, lambda i: f"masses must be > 0 [kg], got {self.masses[i]} at particle {i}")
