@@ -1,9 +1,11 @@
 """The adjoint kernel: the forward kernel's phases in reverse, from recorded states, with each law's derivative from ``wp.grad``.
 
 A force law F = T(l, l') d along a spring gives its ends opposite forces, so node i needs of each of its springs only w = g_i - g_o, the
-difference of the force adjoints at the two ends: another gather, without contention. A memory q' = E(l, l', q) has an adjoint of its own at
-each end, which both ends find alike: that of q is that of q' times dE/dq plus w . d dT/dq. The springs' phase of substep k and the node's own
+difference of the force adjoints at the two ends: another gather, without contention. The springs' phase of substep k and the node's own
 phase of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
+
+What a spring remembers goes from q to E(l, l', q) in a substep. Its adjoint is kept at each end, and both ends find the same: that of q is
+that of E times dE/dq, plus w . d times dT/dq.
 
 Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` before it meets it plainly; this file keeps to that order.
 """

@@ -60,7 +60,7 @@ def sighting(kit):
 
 
 def recalling(kit):
-    """The function that tells a strand law about a spring between nodes ``i`` and ``o``: (1 if it ties a controller, its middle in frame 0)."""
+    """The function that tells of a spring between nodes ``i`` and ``o``: (1 if it ties a controller else 0, its middle in frame 0)."""
     R, World = kit.R, kit.World
 
     @wp.func

@@ -8,7 +8,7 @@ better with the same sums: it visits each spring once, from its lower end, and l
 reached (``half``).
 
 State of substep s lives in slot ``s % slots``: two slots to run, one per substep to be able to go back.
-What a spring remembers is kept at each of its ends: both copies go the same way, so nothing is exchanged (``half`` reads the lower end's only).
+What a spring remembers is kept at both its ends: the copies go the same way, so nothing is exchanged (``half`` uses the lower end's only).
 Nodes of one system are contiguous: particles first, then controllers. A node with ``driver >= 0`` follows that controller's path.
 """
 

@@ -49,7 +49,7 @@ class Laws:
         return max(1, len(self.stage("strand")))
 
     def fuse(self) -> SimpleNamespace:
-        """One Warp function, generic in its precision, for each stage: axial, strand (and evolve), body, observer, velocity, contact (None without one), move."""
+        """One Warp function, generic in its precision, for each stage in the kernels and for "evolve"; contact is None without its term."""
         return SimpleNamespace(
             axial=_axial(self),
             strand=_strand(self),

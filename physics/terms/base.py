@@ -14,10 +14,10 @@ stage       law                                                      returns
 "links"     none: the term only adds springs
 "setup"     ``prepare``, in torch: what the system is made of, before it moves (masses, rest lengths, controllers' paths)
 
-A strand term also declares ``evolve(length, rate, rest, stiffness, link, middle, t, q, dt, p, o)``, its memory after the substep: one number a
-spring, 0 in frame 0, that should never overshoot what it tends to, however long dt. ``link`` is 1 for a spring that ties a controller, else 0;
-``middle`` [m] is where the middle of the spring was in frame 0; ``t`` [s] is the time since then at the substep's start. Law and evolve both see
-the state and the memory at the start of the substep.
+A strand term also declares ``evolve`` (length, rate, rest, stiffness, link, middle, t, q, dt, p, o), its memory after the substep: one
+number a spring, 0 in frame 0, which must not overshoot what it tends to, however long dt is. Law and evolve both see the start of the substep.
+``link`` is 1 for a spring that ties a controller, else 0; ``middle`` [m] is where the spring's middle was in frame 0; ``t`` [s] is the time
+since then.
 
 Contacts are between particles of one system that approach: (xj - xi) . (vj - vi) < -1e-4 m^2/s. Pairs are looked up once a frame; a contact
 term with a parameter ``collide_neighbours`` of 0 leaves out those that start closer than p[o]. Driven particles do not yield.
@@ -63,7 +63,10 @@ class Effect:
 
 @dataclass(frozen=True)
 class Term:
-    """One law with its parameter values; subclasses declare ``name``, ``stage``, ``parameters`` and ``law`` (or ``prepare``; with a memory also ``evolve``)."""
+    """One law with its parameter values.
+
+    Subclasses declare ``name``, ``stage``, ``parameters`` and ``law`` (and ``evolve`` if it remembers), or ``prepare``.
+    """
 
     values: dict[str, float] = field(default_factory=dict)
 
