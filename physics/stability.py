@@ -17,9 +17,10 @@ def stable_step(system: System) -> float:
     With stiffness matrix K, damping matrix C and masses m, v <- v - dt (K x + C v) / m and x <- x + dt v are stable while
     lam dt^2 + 2 mu dt < 4 for the largest eigenvalues lam of K/m and mu of C/m (characteristic polynomial
     z^2 - (2 - mu dt - lam dt^2) z + (1 - mu dt)). Gershgorin bounds both by the largest row sum over a free particle's springs, in
-    which a spring counts twice where its other end is free as well. A Maxwell branch of stiffness a Y that relaxes by s = 1 - exp(-dt / tau)
-    in a substep makes a spring 1 + a + a s / (2 - s) times as stiff at that limit, where s / (2 - s) = tanh(dt / (2 tau)). The bound holds for stretched springs too (the law is linear and
-    the transverse stiffness of a spring in tension stays below Y / L0); strong compression and fast rotation with dashpots are not in it.
+    which a spring counts twice where its other end is free as well. A Maxwell branch a Y that relaxes by s = 1 - exp(-dt / tau) a substep
+    makes a spring 1 + a + a s / (2 - s) times as stiff at that limit (where z = -1), and s / (2 - s) = tanh(dt / (2 tau)). The bound holds
+    for stretched springs too (the law is linear and the transverse stiffness of a spring in tension stays below Y / L0); strong compression
+    and fast rotation with dashpots are not in it.
     """
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
     free[system.particle_count :] = False

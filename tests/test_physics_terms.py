@@ -161,9 +161,7 @@ def kernel_of(term, stage):
         out[i] = x
         out2[i] = v
 
-    stages = dict(
-        axial=axial, strand=strand, evolve=evolve, body=body, observer=observer, velocity=velocity, contact=contact, move=move
-    )
+    stages = dict(axial=axial, strand=strand, evolve=evolve, body=body, observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[stage], module="unique", enable_backward=False), P
 
 

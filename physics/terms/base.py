@@ -15,7 +15,7 @@ stage       law                                                      returns
 "setup"     ``prepare``, in torch: what the system is made of, before it moves (masses, rest lengths, controllers' paths)
 
 A strand term also declares ``evolve`` (length, rate, rest, stiffness, link, middle, t, q, dt, p, o), its memory after the substep: one
-number a spring, 0 in frame 0, which must not overshoot what it tends to, however long dt is. Law and evolve both see the start of the substep.
+number a spring, 0 in frame 0, which must not overshoot what it tends to, however long dt is. Law and evolve both see the substep's start.
 ``link`` is 1 for a spring that ties a controller, else 0; ``middle`` [m] is where the spring's middle was in frame 0; ``t`` [s] is the time
 since then.
 

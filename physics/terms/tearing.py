@@ -19,7 +19,9 @@ def tension(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle
 @wp.func
 def tear(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, dt: Any, p: Any, o: int):
     one = type(length)(1.0)
-    beyond = wp.max(length / rest - one - p[o + 1], type(length)(0.0)) / p[o + 1]
+    beyond = (length / rest - one - p[o + 1]) / p[o + 1]
+    if beyond <= type(length)(0.0):
+        return q
     place = type(middle)()
     place[0] = p[o + 2]
     place[1] = p[o + 3]
