@@ -35,7 +35,7 @@ class GripSlip(Term):
     stage = "strand"
     parameters = (
         Parameter("slip_rate", 0.0, 0.0, 200.0, "1/s", "rate at which tension beyond the threshold is given way to"),
-        Parameter("slip_force", 10.0, 0.01, 1e4, "N", "tension of one spring to the hand at which it begins to slip", scale="log"),
+        Parameter("slip_force", 1.0, 0.01, 1e4, "N", "tension of one spring to the hand at which it begins to slip", scale="log"),
     )
     law = tension
     evolve = slip
@@ -43,7 +43,7 @@ class GripSlip(Term):
         name="grip_slip",
         says="it slides out of the hand when pulled hard",
         amplitudes=("slip_rate",),
-        typical={"slip_rate": 20.0, "slip_force": 1.0},
+        typical={"slip_rate": 20.0},
         shapes={"slip_force": (0.3, 1.0, 3.0, 10.0, 30.0, 100.0)},
         motion="pull hard, and go back: what slipped does not return",
     )

@@ -32,7 +32,7 @@ class Plasticity(Term):
     stage = "strand"
     parameters = (
         Parameter("plastic_rate", 0.0, 0.0, 200.0, "1/s", "rate at which strain beyond the yield strain turns plastic"),
-        Parameter("yield_strain", 0.05, 0.001, 1.0, "-", "elastic strain at which flow begins", scale="log"),
+        Parameter("yield_strain", 0.01, 0.001, 1.0, "-", "elastic strain at which flow begins", scale="log"),
     )
     law = tension
     evolve = flow
@@ -40,7 +40,7 @@ class Plasticity(Term):
         name="plasticity",
         says="it keeps part of a deformation that went too far",
         amplitudes=("plastic_rate",),
-        typical={"plastic_rate": 20.0, "yield_strain": 0.01},
+        typical={"plastic_rate": 20.0},
         shapes={"yield_strain": (0.003, 0.01, 0.03, 0.1, 0.3)},
         motion="stretch or bend it far, let go and wait: what is left did not depend on how long it was held",
     )

@@ -7,6 +7,7 @@ import warp as wp
 from ..parameters import Parameter
 from ..relaxation import settled
 from .base import Effect, Term
+from .places import bell, bell_twin, near
 
 __all__ = ["Tearing"]
 
@@ -22,13 +23,7 @@ def tear(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: A
     beyond = (length / rest - one - p[o + 1]) / p[o + 1]
     if beyond <= type(length)(0.0):
         return q
-    place = type(middle)()
-    place[0] = p[o + 2]
-    place[1] = p[o + 3]
-    place[2] = p[o + 4]
-    apart = (middle - place) / p[o + 5]
-    near = wp.exp(-wp.dot(apart, apart) * type(length)(0.5))
-    return q + (one - q) * settled(p[o] * near * beyond * dt)
+    return q + (one - q) * settled(p[o] * bell(middle, p, o + 2) * beyond * dt)
 
 
 class Tearing(Term):
@@ -42,11 +37,8 @@ class Tearing(Term):
     stage = "strand"
     parameters = (
         Parameter("tear_rate", 0.0, 0.0, 1000.0, "1/s", "rate of damage at twice the tear strain"),
-        Parameter("tear_strain", 0.1, 0.001, 2.0, "-", "strain at which tearing begins", scale="log"),
-        Parameter("tear_x", 0.0, -10.0, 10.0, "m", "where it tears, in frame 0, x"),
-        Parameter("tear_y", 0.0, -10.0, 10.0, "m", "where it tears, in frame 0, y"),
-        Parameter("tear_z", 0.0, -10.0, 10.0, "m", "where it tears, in frame 0, z"),
-        Parameter("tear_radius", 0.05, 0.001, 10.0, "m", "how far around there it tears", scale="log"),
+        Parameter("tear_strain", 0.03, 0.001, 2.0, "-", "strain at which tearing begins", scale="log"),
+        *near("tear", "tear_radius"),
     )
     law = tension
     evolve = tear
@@ -54,7 +46,7 @@ class Tearing(Term):
         name="tearing",
         says="it tears at one place when it is stretched too far",
         amplitudes=("tear_rate",),
-        typical={"tear_rate": 50.0, "tear_strain": 0.02, "tear_radius": 0.05},
+        typical={"tear_rate": 20.0},
         shapes={"tear_strain": (0.01, 0.03, 0.1, 0.3), "tear_radius": (0.01, 0.03, 0.1)},
         place="tear",
         within="tear_radius",
@@ -72,5 +64,5 @@ class Tearing(Term):
         import numpy as np
 
         beyond = max(0.0, (length / rest - 1 - tear_strain) / tear_strain)
-        near = np.exp(-0.5 * (np.linalg.norm(middle - np.array([tear_x, tear_y, tear_z])) / tear_radius) ** 2)
-        return 1 - (1 - q) * np.exp(-tear_rate * near * beyond * dt)
+        w = bell_twin(middle, (tear_x, tear_y, tear_z), tear_radius)
+        return 1 - (1 - q) * np.exp(-tear_rate * w * beyond * dt)

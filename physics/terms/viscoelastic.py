@@ -39,7 +39,7 @@ class Viscoelastic(Term):
         name="viscoelastic",
         says="it is stiffer when moved fast, and its force fades while it is held",
         amplitudes=("branch_stiffness",),
-        typical={"branch_stiffness": 2.0, "relaxation_time": 0.1},
+        typical={"branch_stiffness": 2.0},
         shapes={"relaxation_time": (0.02, 0.05, 0.15, 0.5, 1.5, 5.0)},
         motion="pull fast and hold still, and shake it slowly and quickly: the lag is largest at one period over 2 pi",
     )
