@@ -248,7 +248,7 @@ def test_time_is_that_since_frame_0():
 
 REMEMBERING = (Springs, Dashpot, Gravity, ControllerSprings, Plasticity, Viscoelastic, Tearing, GripSlip)
 TYPICAL = {k: v for term in REMEMBERING if term.effect for k, v in term.effect.typical.items()} | dict(
-    dashpot_damping=2.0, tear_x=0.4, tear_radius=0.4
+    dashpot_damping=2.0, tear_x=0.4, tear_radius=0.4, slip_force=0.2
 )
 
 
