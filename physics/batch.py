@@ -83,6 +83,7 @@ class Batch:
             raise ValueError(f"dt must be > 0 and finite [s], got {dt}")
         self.columns = self.laws.columns
         self.colliding = bool(self.laws.stage("contact"))
+        self.remembering = bool(self.laws.stage("strand"))
         cuda = self.device.type == "cuda"
         self._device = "cpu" if not cuda else f"cuda:{self.device.index or 0}"
         self._assemble()
@@ -108,6 +109,9 @@ class Batch:
         for k, s in enumerate(systems):
             own = slice(start[k], start[k] + sizes[k])
             x[own], v[own], mass[own], home[own] = s.positions, s.velocities, s.masses, s.home
+            free = slice(start[k] + sizes[k], start[k + 1])
+            x[free] = s.controllers[0, hands[k]]
+            home[free] = x[free] + _displacement_nearby(s, x[free])
             index = np.full(sizes[k] + len(s.grips), -1)
             index[: sizes[k]] = np.arange(sizes[k])
             index[sizes[k] + hands[k]] = sizes[k] + np.arange(len(hands[k]))
@@ -138,6 +142,8 @@ class Batch:
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
         self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
         self.ends = self._ints(ends).long()
+        lower = np.flatnonzero((other > here)[order])  # ends at which a spring counts
+        self.lower_end, self.lower_spring = self._ints(lower).long(), self._ints(spring[order][lower]).long()
         self._watch(nodes)
         table = np.zeros((len(systems), len(self.columns)))
         for k, s in enumerate(systems):
@@ -151,6 +157,7 @@ class Batch:
             stiffness=self._real(np.concatenate([s.stiffness for s in systems])),
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
+            memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
         )
 
     def _watch(self, nodes):
@@ -204,16 +211,18 @@ class Batch:
         positions = self.split(out)
         return Rollout(positions, np.array([first_bad(p) for p in positions]))
 
-    def march(self, frame: int, frames: int, inputs: Inputs | None = None):
+    def march(self, frame: int, frames: int, inputs: Inputs | None = None, *, whole: bool = False):
         """Simulate ``frames`` frames from ``frame`` on: positions (frames, nodes, 3) at their ends and the final x and v (nodes, 3).
 
+        With ``whole`` also what springs remember at the end, which the next march starts from as ``inputs.memory`` (springs, strand terms).
         Differentiable with respect to every tensor of ``inputs``. A state is kept once a stretch and the rest recomputed on the way back.
         """
         frame, frames = _whole("frame", frame, 0), _whole("frames", frames, 0)
         inputs = inputs or self.inputs
         self._check(inputs)
         inputs = self.prepare(inputs)
-        return March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+        found = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+        return found if whole else found[:3]
 
     def prepare(self, inputs: Inputs) -> Inputs:
         """``inputs`` as the setup terms make them: a torch function, so gradients reach the parameters that it reads."""
@@ -246,7 +255,10 @@ class Batch:
         if (self.substeps != substeps).any():
             raise ValueError("gradients need the same number of substeps in every system of the batch")
         longest = substeps if self.colliding else max(1, frames * substeps)
-        room = max(1, HISTORY_BYTES // (self.node_count * self.dtype.itemsize * (18 if self.colliding else 14)))
+        kept = self.node_count * (18 if self.colliding else 14)
+        if self.remembering:
+            kept += len(self.constants["spring"]) * self.laws.memories
+        room = max(1, HISTORY_BYTES // (kept * self.dtype.itemsize))
         longest = -(-longest // -(-longest // room))
         found, begin = [], 0
         while begin < frames * substeps:
@@ -281,6 +293,14 @@ class Batch:
         cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
         with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
             list(pool.map(go, cuts[:-1], cuts[1:]))
+
+
+def _displacement_nearby(system, points):
+    """(K, 3) m from where the particle nearest to each of ``points`` starts to its home."""
+    away = system.home - system.positions
+    if not away.any() or not len(points):
+        return np.zeros_like(points)
+    return away[np.linalg.norm(points[:, None] - system.positions[None], axis=2).argmin(1)]
 
 
 def _whole(name, value, least):

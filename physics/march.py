@@ -20,7 +20,8 @@ __all__ = ["Adjoint", "Inputs", "March", "Stretch", "World"]
 class Inputs:
     """Everything continuous that a roll-out depends on, as tensors over the whole batch; any of them may require gradients.
 
-    x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns)
+    x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns),
+    memory (springs, strand terms, at least 1): what springs remember at the start, in the order of their terms
     """
 
     x: torch.Tensor
@@ -30,6 +31,7 @@ class Inputs:
     stiffness: torch.Tensor
     path: torch.Tensor
     table: torch.Tensor
+    memory: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -67,9 +69,9 @@ class Carrier:
 
 
 class World(Carrier):
-    """The state of a batch in ``slots`` slots, starting at (x, v), with ``near`` the contact candidates."""
+    """The state of a batch in ``slots`` slots, starting at (x, v, memory), with ``near`` the contact candidates."""
 
-    def __init__(self, batch, values, x, v, near, slots, out):
+    def __init__(self, batch, values, x, v, memory, near, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -77,7 +79,12 @@ class World(Carrier):
 
         state = empty(slots, n, 8)
         state[0, :, 0:3], state[0, :, 4:7] = x, v
-        self.states = state
+        self.states, self.memory = state, memory
+        ends = batch.constants["spring"].long()
+        memories = empty(slots if batch.remembering else 0, len(ends), memory.shape[1])
+        if batch.remembering:
+            memories[0] = memory[ends]
+        self.memories = memories
         kept = slots if slots > 2 else 1
         met = slots if batch.colliding else 1
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
@@ -87,9 +94,9 @@ class World(Carrier):
             batch.kernels.World,
             dict(
                 **batch.constants,
-                **{k: values[k][batch.constants["spring"].long()] for k in ("rest", "stiffness")},
+                **{k: values[k][ends] for k in ("rest", "stiffness")},
                 **{k: values[k] for k in ("mass", "path", "table")},
-                **dict(state=state.view(-1), pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
+                **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
@@ -97,32 +104,37 @@ class World(Carrier):
         self.struct.nodes = n
 
     def end(self, stretch: Stretch):
-        """(x, v) at the end of a stretch."""
-        slot = torch.as_tensor(stretch.count % self.slots, device=self._batch.device)[self._batch.system_of]
-        node = torch.arange(len(slot), device=slot.device)
-        end = self.states[slot, node]
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous()
+        """(x, v, memory) at the end of a stretch."""
+        batch = self._batch
+        slot = torch.as_tensor(stretch.count % self.slots, device=batch.device)
+        node = torch.arange(batch.node_count, device=batch.device)
+        end = self.states[slot[batch.system_of], node]
+        memory = self.memory.clone()
+        if batch.remembering:
+            memory[batch.lower_spring] = self.memories[slot[batch.spring_system[batch.lower_spring]], batch.lower_end]
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory
 
 
 class Adjoint(Carrier):
-    """Adjoints of a batch's state and inputs: ``x`` and ``v`` of the state at the end, ``out`` of the positions at the frames.
+    """Adjoints of a batch's state and inputs: ``x``, ``v`` and ``memory`` of the state at the end, ``out`` of the positions at the frames.
 
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, out, wanted):
-        self.batch = batch
+    def __init__(self, batch, values, x, v, memory, out, wanted):
+        self.batch, self.memory = batch, memory
 
         def zeros(width):
             return torch.zeros((batch.node_count, width), dtype=batch.dtype, device=batch.device)
 
+        memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         stages = {s: zeros(batch.laws.width(s)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path")}
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
             dict(
-                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), out=out, met=zeros(3)),
+                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), memory=memories, out=out, met=zeros(3)),
                 **dict(force=torch.stack([zeros(3)] * 2), links=zeros(1)[:, 0], **stages, **inputs),
             ),
         )
@@ -135,14 +147,17 @@ class Adjoint(Carrier):
         shares = torch.cat([t[s].reshape(batch.node_count, -1) for s in (*STAGED, "links")], 1)
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
         table[:, : shares.shape[1]] = torch.stack([shares[a:b].sum(0) for a, b in pairwise(batch.starts)])
-        return {"x": t["x"], "v": t["v"], "table": table, **{k: t[k] for k in ("mass", "rest", "stiffness", "path")}}
+        memory = self.memory.clone()
+        if batch.remembering:
+            memory[batch.lower_spring] = t["memory"][batch.lower_end]
+        return {"x": t["x"], "v": t["v"], "memory": memory, "table": table, **{k: t[k] for k in ("mass", "rest", "stiffness", "path")}}
 
 
 class March(torch.autograd.Function):
     @staticmethod
     def forward(ctx, batch, frame, frames, *inputs):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
-        x, v = values["x"], values["v"]
+        x, v, memory = values["x"], values["v"], values["memory"]
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
         stretches = batch.stretches(frames, history=back)
@@ -151,25 +166,25 @@ class March(torch.autograd.Function):
         for stretch in stretches:
             if batch.colliding and stretch.begin == 0:
                 near = candidates(batch, x, values["table"])
-            world = World(batch, values, x, v, near, stretch.history if keep else 2, out[stretch.frame :])
-            ctx.starts.append((x, v, near))
+            world = World(batch, values, x, v, memory, near, stretch.history if keep else 2, out[stretch.frame :])
+            ctx.starts.append((x, v, memory, near))
             batch.forward(world, frame, stretch)
-            x, v = world.end(stretch)
+            x, v, memory = world.end(stretch)
             if keep:
                 world.set(out=out.new_empty((0, *out.shape[1:])))  # an output that its own context held would never be freed
                 ctx.world = world
         ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
         ctx.batch, ctx.frame, ctx.stretches = batch, frame, stretches
-        return out, x, v
+        return out, x, v, memory
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, g_out, g_x, g_v):
+    def backward(ctx, g_out, g_x, g_v, g_memory):
         batch = ctx.batch
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), ctx.saved_tensors, strict=True)}
         given = g_out.contiguous()
         wanted = {f.name for f, needed in zip(fields(Inputs), ctx.needs_input_grad[3:], strict=True) if needed}
-        adjoint = Adjoint(batch, values, g_x, g_v, given, wanted)
+        adjoint = Adjoint(batch, values, g_x, g_v, g_memory, given, wanted)
         scratch = torch.empty_like(g_out)
         for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             world = ctx.world

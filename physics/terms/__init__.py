@@ -11,6 +11,7 @@ from .gravity import Gravity
 from .gravity_tilt import GravityTilt
 from .grip_compliance import GripCompliance
 from .grip_points import GripPoints
+from .grip_slip import GripSlip
 from .ground import Ground
 from .ground_adhesion import GroundAdhesion
 from .ground_pose import GroundPose
@@ -18,6 +19,7 @@ from .hidden_obstacle import HiddenObstacle
 from .hidden_tether import HiddenTether
 from .linear_drag import LinearDrag
 from .observer import Observer
+from .plasticity import Plasticity
 from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
 from .second_hand import SecondHand
@@ -26,6 +28,8 @@ from .springs import Springs
 from .stiffness_field import StiffnessField
 from .strain_stiffening import StrainStiffening
 from .stribeck_ground import StribeckGround
+from .tearing import Tearing
+from .viscoelastic import Viscoelastic
 from .wind import Wind
 
 __all__ = [
@@ -40,6 +44,7 @@ __all__ = [
     "GravityTilt",
     "GripCompliance",
     "GripPoints",
+    "GripSlip",
     "Ground",
     "GroundAdhesion",
     "GroundPose",
@@ -47,6 +52,7 @@ __all__ = [
     "HiddenTether",
     "LinearDrag",
     "Observer",
+    "Plasticity",
     "QuadraticDrag",
     "RestShape",
     "SecondHand",
@@ -55,6 +61,8 @@ __all__ = [
     "StiffnessField",
     "StrainStiffening",
     "StribeckGround",
+    "Tearing",
     "Term",
+    "Viscoelastic",
     "Wind",
 ]

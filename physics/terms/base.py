@@ -5,6 +5,7 @@ into one kernel and derives their adjoints, so a term never writes a gradient. `
 
 stage       law                                                      returns
 "axial"     (length, rate, rest, stiffness, p, o)                    tension along the spring [N], positive pulls its ends together
+"strand"    (length, rate, rest, stiffness, link, middle, t, q, p, o) tension along a spring that remembers q [N]
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
 "observer"  (x, v, home, y, u, m, p, o)                              force on one particle that was seen at y [m], moving with u [m/s]
 "velocity"  (v, dt, p, o)                                            velocity after the stage [m/s]
@@ -13,10 +14,15 @@ stage       law                                                      returns
 "links"     none: the term only adds springs
 "setup"     ``prepare``, in torch: what the system is made of, before it moves (masses, rest lengths, controllers' paths)
 
+A strand term also declares ``evolve`` (length, rate, rest, stiffness, link, middle, t, q, dt, p, o), its memory after the substep: one
+number a spring, 0 in frame 0, which must not overshoot what it tends to, however long dt is. Law and evolve both see the substep's start.
+``link`` is 1 for a spring that ties a controller, else 0; ``middle`` [m] is where the spring's middle was in frame 0; ``t`` [s] is the time
+since then.
+
 Contacts are between particles of one system that approach: (xj - xi) . (vj - vi) < -1e-4 m^2/s. Pairs are looked up once a frame; a contact
 term with a parameter ``collide_neighbours`` of 0 leaves out those that start closer than p[o]. Driven particles do not yield.
 
-Forces are summed over axial, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
+Forces are summed over axial, strand, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -27,8 +33,8 @@ from ..parameters import Parameter
 
 __all__ = ["STAGED", "STAGES", "Effect", "Term"]
 
-STAGES = ("axial", "body", "observer", "velocity", "contact", "move", "links", "setup")
-STAGED = STAGES[:6]  # whose laws are in the kernels
+STAGES = ("axial", "strand", "body", "observer", "velocity", "contact", "move", "links", "setup")
+STAGED = STAGES[:7]  # whose laws are in the kernels
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,10 @@ class Effect:
 
 @dataclass(frozen=True)
 class Term:
-    """One law with its parameter values; subclasses declare ``name``, ``stage``, ``parameters`` and ``law`` (or ``prepare``)."""
+    """One law with its parameter values.
+
+    Subclasses declare ``name``, ``stage``, ``parameters`` and ``law`` (and ``evolve`` if it remembers), or ``prepare``.
+    """
 
     values: dict[str, float] = field(default_factory=dict)
 
@@ -65,6 +74,7 @@ class Term:
     stage: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     law: ClassVar = None
+    evolve: ClassVar = None
     effect: ClassVar[Effect | None] = None
 
     def __post_init__(self):

@@ -36,10 +36,9 @@ class GripPoints(Term):
         """Inputs with other ``rest`` lengths (springs,)."""
         import torch
 
-        home, lead = batch.constants["home"].clone(), batch.constants["lead"] > 0
-        home[lead] = batch.inputs.path[0, batch.constants["driver"][lead].long()]
+        start, lead = batch.inputs.x, batch.constants["lead"] > 0
         shift = torch.stack([values[f"grip_shift_{axis}"] for axis in "xyz"], 1)[batch.spring_system]
-        apart = home[batch.ends[:, 1]] - home[batch.ends[:, 0]]
+        apart = start[batch.ends[:, 1]] - start[batch.ends[:, 0]]
         sign = lead[batch.ends[:, 1]].to(apart.dtype) - lead[batch.ends[:, 0]].to(apart.dtype)
         before, after = (d.square().sum(1).clamp_min(LEAST**2).sqrt() for d in (apart, apart + sign[:, None] * shift))
         return replace(inputs, rest=torch.where(tied(batch), inputs.rest * (after / before), inputs.rest))
