@@ -108,7 +108,7 @@ class Batch:
         ends, paths = [], []
         for k, s in enumerate(systems):
             own = slice(start[k], start[k] + sizes[k])
-            x[own], v[own], mass[own], home[own] = s.positions, s.velocities, s.masses, s.home
+            x[own], v[own], mass[own], home[own] = s.positions, s.velocities, s.masses, s.material
             free = slice(start[k] + sizes[k], start[k + 1])
             x[free] = s.controllers[0, hands[k]]
             home[free] = x[free] + _displacement_nearby(s, x[free])
@@ -297,7 +297,7 @@ class Batch:
 
 def _displacement_nearby(system, points):
     """(K, 3) m from where the particle nearest to each of ``points`` starts to its home."""
-    away = system.home - system.positions
+    away = system.material - system.positions
     if not away.any() or not len(points):
         return np.zeros_like(points)
     return away[np.linalg.norm(points[:, None] - system.positions[None], axis=2).argmin(1)]

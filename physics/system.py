@@ -66,7 +66,8 @@ class System:
         count = len(self.positions)
         if not count:
             raise ValueError("positions must hold at least one particle, got shape (0, 3)")
-        own("home", count, 3, default=self.positions)
+        if self.home is not None:
+            own("home", count, 3)
         own("velocities", count, 3, default=np.zeros((count, 3)))
         own("masses", count, default=np.ones(count))
         refuse(self.masses <= 0, lambda i: f"masses must be > 0 [kg], got {self.masses[i]} at particle {i}")
@@ -108,6 +109,11 @@ class System:
         object.__setattr__(self, "seen", _array("seen", np.where(here[..., None], seen, 0.0), seen.shape, False))
         sight.flags.writeable = False
         object.__setattr__(self, "sight", sight)
+
+    @property
+    def material(self) -> np.ndarray:
+        """(M, 3) m, ``home`` or else the start."""
+        return self.positions if self.home is None else self.home
 
     @property
     def particle_count(self) -> int:

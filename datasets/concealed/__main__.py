@@ -87,10 +87,9 @@ def main(arguments=None) -> None:
 def row(name: str, label: dict) -> str:
     """One line of the table."""
     what = label["effect"] or f"nothing ({label['control']})"
-    moved = f"{1000 * label['displacement']:5.1f} / {1000 * label.get('displacement_transfer', 0):5.1f} mm, chaos {1000 * label['chaos']:5.1f} mm"
-    return (
-        f"{name}  {label['kind']:8} {what:28} {label['object']:6} {' > '.join(label['interactions']):24} {moved}  {label['seconds']:5.1f} s"
-    )
+    moved, later, chaos = (1000 * label.get(key, 0) for key in ("displacement", "displacement_transfer", "chaos"))
+    where = f"{name}  {label['kind']:8} {what:28} {label['object']:6} {' > '.join(label['interactions']):24}"
+    return f"{where} {moved:5.1f} / {later:5.1f} mm, chaos {chaos:4.1f} mm  {label['seconds']:5.1f} s"
 
 
 if __name__ == "__main__":

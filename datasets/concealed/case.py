@@ -16,11 +16,14 @@ from .sensing import Tracker, observe
 
 __all__ = ["CONTROLS", "Case", "build"]
 
-CLEAR = (0.010, 0.045)  # RMS displacement of the points by an effect of clear size [m]
-LEAST = 0.005  # an effect that moves the points by less is drawn again [m]
-SIZES = 7  # simulations that the search for a clear size may take
-DRAWS = 6  # bodies and interactions that are tried
-NUDGE = 1e-4  # by which the hands' start is moved to see what is chaos [m]
+CLEAR = (0.010, 0.060)  # RMS displacement of the points by an effect of clear size [m]
+LEAST = 0.005  # and at least that in the transfer recording [m]
+BEYOND = 1.5  # times what chaos moves the points
+CHAOS = 0.015  # motions that are less predictable are drawn again [m]
+NUDGE = 1e-4  # by which the hands move aside to see what is chaos [m]
+SIZES = (0.15, 6.0)  # between which an effect is made smaller or larger than drawn
+SEARCH = 6  # simulations that the search for a clear size may take
+DRAWS = 10  # bodies and interactions that are tried
 
 
 @dataclass(frozen=True)
@@ -72,10 +75,13 @@ def _attempt(kind, name, body_kind, rng, seed, attempt, clear):
         body = replace(body, young=body.young * rng.choice([0.4, 2.5]))
     scripts = _scripts(planned, body, rng)
     plain = tuple(simulate(body, script) for script in scripts)
+    chaos = _chaos(body, scripts[0], plain[0])
+    if chaos > CHAOS:
+        raise Dull(f"a tenth of a millimetre grows to {1000 * chaos:.1f} mm")
     if kind == "control":
         effect, motion, sizes = Effect(body), plain, {"displacement": 0.0}
     else:
-        effect, motion, sizes = _clear(planned, body, scripts, plain, rng, clear)
+        effect, motion, sizes = _clear(planned, body, scripts, plain, rng, clear, chaos)
     tracker = Tracker.draw(rng)
     if name == "more_drift":
         tracker = replace(tracker, drift=2.2 * tracker.drift, noise=1.3 * tracker.noise)
@@ -85,63 +91,56 @@ def _attempt(kind, name, body_kind, rng, seed, attempt, clear):
         observe(effect.body, script, m, tracker, effect.faults, np.random.default_rng([seed, attempt, i]), name=part)
         for i, (part, script, m) in enumerate(zip(("fit", "transfer"), scripts, motion, strict=True))
     ]
-    sizes["chaos"] = _chaos(effect, scripts[0], motion[0])
-    label = _label(kind, name, effect, scripts, motion, tracker, seed, attempt, sizes)
+    label = _label(kind, name, effect, scripts, motion, tracker, seed, attempt, sizes | {"chaos": chaos})
     return Case(*recordings, label)
 
 
 def _scripts(planned, body, rng):
     """Two interactions that can show the effect, of different kinds where more than one can."""
     able = list(planned.fits) if planned else list(motions.KINDS)
+    if planned and body.kind == "plush":  # two hands leave a short thick body no freedom to show anything but stretch
+        able = [kind for kind in able if kind not in ("twist", "two_hands")] or able
     first = rng.choice(able)
     second = rng.choice([kind for kind in able if kind != first] or able)
     return tuple(motions.draw(str(kind), body, rng) for kind in (first, second))
 
 
-def _clear(planned, body, scripts, plain, rng, clear):
+def _clear(planned, body, scripts, plain, rng, clear, chaos):
     """The effect at a size that moves the points of the fit recording clearly, the motions with it, and by how much it moves them."""
-    entropy, size, tried = int(rng.integers(2**63)), 1.0, []
-    low, high = 0.0, np.inf
-    for _ in range(SIZES):
-        occasion = Occasion(body, scripts, plain, np.random.default_rng(entropy))
+    low, high = max(clear[0], BEYOND * chaos), clear[1] * planned.most
+    entropy, size, bounds, tried = int(rng.integers(2**63)), 1.0, list(SIZES), []
+    for _ in range(SEARCH if planned.sized else 1):
         try:
-            effect = planned.draw(occasion, size)
-            effect = replace(effect, without=effect.without or body)
+            effect = planned.draw(Occasion(body, scripts, plain, np.random.default_rng(entropy)), size)
         except ValueError as reason:
             raise Dull(f"{planned.name}: {reason}") from None
-        if planned.measurement:
-            moved = _believed(effect, scripts[0], plain[0])
-            motion = plain
-        else:
-            try:
-                motion = (simulate(effect.body, scripts[0], effect.physics, substeps=effect.substeps),)
-            except Unstable:
-                high, size = size, size / 2 if low == 0 else np.sqrt(low * size)
-                continue
-            moved = rms(motion[0].vertices - _without(effect, scripts[0]).vertices)
-        tried.append((size, moved))
-        if clear[0] <= moved <= clear[1]:
+        effect = replace(effect, without=effect.without or body)
+        moved, motion = _moved(planned, effect, scripts[0], plain[0])
+        if low <= moved <= high:
             break
-        if moved < clear[0]:
-            low, size = size, 2.5 * size if high == np.inf else np.sqrt(size * high)
-        else:
-            high, size = size, size / 2.5 if low == 0 else np.sqrt(low * size)
+        tried.append(f"{size:.3g} by {1000 * moved:.1f} mm")
+        bounds[moved > high] = size
+        size = float(np.clip(size * (2.5 if moved < low else 0.4), *SIZES)) if set(bounds) & set(SIZES) else np.sqrt(np.prod(bounds))
+        if size == bounds[0] or size == bounds[1]:
+            raise Dull(f"{planned.name} moves the points too little or too much: size {', '.join(tried)}")
     else:
-        if not tried or tried[-1][1] < max(LEAST, 0.5 * clear[0]) or tried[-1][1] > 3 * clear[1]:
-            raise Dull(f"{planned.name}: sizes moved the points by {[(round(s, 3), round(1000 * m, 1)) for s, m in tried]} mm")
-    sizes = {"displacement": moved, "size": tried[-1][0]}
+        raise Dull(f"{planned.name} finds no size that moves the points by {1000 * low:.0f} to {1000 * high:.0f} mm: {', '.join(tried)}")
+    later, motion_later = _moved(planned, effect, scripts[1], plain[1])
+    if not later >= LEAST:
+        raise Dull(f"{planned.name} moves the points of the transfer recording by {1000 * later:.1f} mm")
+    return effect, (motion, motion_later), {"displacement": moved, "displacement_transfer": later, "size": size}
+
+
+def _moved(planned, effect, script, plain):
+    """RMS by which the effect moves the points [m], infinite where it blows up; and the motion with it."""
     if planned.measurement:
-        return effect, motion, sizes | {"displacement_transfer": _believed(effect, scripts[1], plain[1])}
-    if tried[-1][0] != size:
-        raise Unstable(f"{planned.name}: no stable size")
-    motion = (motion[0], simulate(effect.body, scripts[1], effect.physics, substeps=effect.substeps))
-    sizes["displacement_transfer"] = rms(motion[1].vertices - _without(effect, scripts[1]).vertices)
-    return effect, motion, sizes
-
-
-def _without(effect, script):
-    """The motion without the effect."""
-    return simulate(effect.without, script, effect.around, substeps=effect.substeps)
+        return _believed(effect, script, plain), plain
+    try:
+        motion = simulate(effect.body, script, effect.physics, substeps=effect.substeps)
+    except Unstable:
+        return np.inf, None
+    without = simulate(effect.without, script, effect.around, substeps=effect.substeps)
+    return rms(motion.vertices - without.vertices), motion
 
 
 def _believed(effect, script, motion):
@@ -155,10 +154,10 @@ def _believed(effect, script, motion):
     return float(np.sqrt(np.mean(points**2)) + np.sqrt(np.mean(hands**2)))
 
 
-def _chaos(effect, script, motion):
+def _chaos(body, script, motion):
     """RMS by which a motion changes when the hands start a tenth of a millimetre aside [m]: what no twin can predict."""
     moved = tuple(replace(h, moves=tuple((x + NUDGE * (k > 0), y, z) for k, (x, y, z) in enumerate(h.moves))) for h in script.hands)
-    return rms(simulate(effect.body, replace(script, hands=moved), effect.physics, substeps=effect.substeps).vertices - motion.vertices)
+    return rms(simulate(body, replace(script, hands=moved)).vertices - motion.vertices)
 
 
 def rms(difference: np.ndarray) -> float:

@@ -57,13 +57,20 @@ class Effect:
 
 @dataclass(frozen=True)
 class Planned:
-    """A named effect, the bodies and the interactions that can show it, and whether ``size`` makes it larger or smaller."""
+    """A named effect, the bodies and the interactions that can show it.
+
+    measurement  it is in what is reported, not in what moves
+    sized        ``size`` changes it
+    most         how many times the usual upper limit it may move the points: some are only themselves when they are strong
+    """
 
     name: str
     draw: Callable[[Occasion, float], Effect]
     bodies: tuple[str, ...]
     fits: tuple[str, ...]
     measurement: bool = False
+    sized: bool = True
+    most: float = 1.0
 
 
 ALL, SHEETS, SOLIDS = ("cloth", "rope", "plush"), ("cloth",), ("cloth", "plush")
@@ -72,10 +79,11 @@ EFFECTS: dict[str, Planned] = {}
 OUTSIDE: dict[str, Planned] = {}
 
 
-def _effect(bodies=ALL, fits=FREE, *, into=EFFECTS, measurement=False):
+def _effect(bodies=ALL, fits=FREE, *, into=EFFECTS, **about):
+    """Enter the decorated draw under its own name; ``about`` are further fields of ``Planned``."""
+
     def note(draw):
-        name = draw.__name__
-        into[name] = Planned(name, draw, bodies, fits, measurement)
+        into[draw.__name__] = Planned(draw.__name__, draw, bodies, fits, **about)
         return draw
 
     return note
@@ -144,9 +152,9 @@ def anisotropy(on, size):
     return Effect(body, parameters={"ratio": ratio, "axis_frame0": _world(axis)})
 
 
-@_effect(("cloth", "rope"))
+@_effect(("cloth", "rope"), most=2.5)
 def bending(on, size):
-    factor = size * on.rng.uniform(40, 120)
+    factor = size * on.rng.uniform(30, 90)
     if on.body.kind == "rope":
         body = replace(on.body, young=on.body.young * factor, damping=on.body.damping / np.sqrt(factor))
     else:
@@ -163,7 +171,7 @@ def bending_damping(on, size):
     return Effect(replace(stiff, crease=3 * tau), parameters={"time_s": tau, "share": 0.5})
 
 
-@_effect(("rope",), ("twist", "circle"))
+@_effect(("rope",), ("twist", "circle"), most=1.5)
 def torsion(on, size):
     rigidity = size * on.rng.uniform(1, 3) * on.body.young * np.pi * on.body.radius**4 / 4
     shear = rigidity / (np.pi * on.body.radius**4 / 2)
@@ -213,7 +221,7 @@ def friction_law(on, size):
     return Effect(low, Physics(laws=(laws.stick(extra, speed),)), parameters=parameters, without=low)
 
 
-@_effect(fits=("drag", "lift_shake", "circle", "fold"))
+@_effect(fits=("drag", "lift_shake", "circle", "fold"), sized=False, most=2.0)
 def hidden_obstacle(on, size):
     """Where the body passes in both recordings if there is such a place, and nowhere near it at frame 0."""
     radius = on.rng.uniform(0.025, 0.045)
@@ -241,7 +249,7 @@ def hidden_obstacle(on, size):
     return Effect(on.body, Physics(geoms=geom), parameters={"shape": str(kind), "size_m": radius}, place=place, radius=radius)
 
 
-@_effect(("cloth",), ("fold", "circle", "twist", "drag"))
+@_effect(("cloth",), ("fold", "circle", "twist", "drag"), sized=False, most=2.0)
 def self_contact(on, size):
     thick = replace(on.body, radius=2.5e-3)
     return Effect(replace(thick, layers=True), parameters={"thickness_m": 2 * thick.radius}, without=thick)

@@ -255,7 +255,8 @@ def _creases(body):
     if not body.crease:
         return ""
     names = " ".join(f"body_{v}" for v in range(len(body.vertices)))
+    elastic = f'young="{body.young:.9g}" poisson="{body.poisson}" thickness="{body.thickness}" damping="{body.crease:.9g}"'
     return f"""<deformable><flex name="creases" dim="2" radius="{body.radius}" body="{names}" element="{numbers(body.elements)}">
       <contact contype="0" conaffinity="0" selfcollide="none"/>
-      <elasticity young="{body.young:.9g}" poisson="{body.poisson}" thickness="{body.thickness}" elastic2d="bend" damping="{body.crease:.9g}"/>
+      <elasticity {elastic} elastic2d="bend"/>
     </flex></deformable>"""

@@ -10,8 +10,20 @@ import numpy as np
 from .engine import Law
 
 __all__ = [
-    "adhesion", "air", "drops_mass", "maxwell", "motor", "poles", "rotating", "slip", "stick", "stiffens", "tear", "tether", "timed_stiffness",
-]  # fmt: skip
+    "adhesion",
+    "air",
+    "drops_mass",
+    "maxwell",
+    "motor",
+    "poles",
+    "rotating",
+    "slip",
+    "stick",
+    "stiffens",
+    "tear",
+    "tether",
+    "timed_stiffness",
+]
 
 
 def air(coefficient: float, wind=(0.0, 0.0, 0.0)) -> Law:

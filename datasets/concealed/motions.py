@@ -138,7 +138,7 @@ def twist(body, rng, end):
     """Both ends up and a little nearer; one hand turns about the line between them, back, and on."""
     first, second, way, reach = _ends(body, rng)
     span, up = np.linalg.norm(first - second), _height(body, rng) * 0.7
-    most = {"cloth": 1.6, "rope": 5.0, "plush": 1.3}[body.kind] * rng.uniform(0.8, 1.1) * rng.choice([-1, 1])
+    most = {"cloth": 1.6, "rope": 7.0, "plush": 1.3}[body.kind] * rng.uniform(0.8, 1.1) * rng.choice([-1, 1])
     near = {"cloth": 0.03, "rope": 0.22, "plush": 0.02}[body.kind] * span
     angle = np.array([0, 0, 0.5, 1, 0.4, -0.3, 0.6]) * most
     times = _stretched([0, 0.4, *rng.uniform(0.25, 0.5, 5)], end)

@@ -125,6 +125,7 @@ def observe(
     interior = _interior(body, to_world(motion.vertices[:1]), points[0, np.concatenate([tracked, surface])], spacing, rng)
     interior = _moved(interior[None], np.full(len(interior), -1), cameras, faults)[0]
     annotated = spread(measured[0], 9)
+    rest = attached.at(_skin(body, body.vertices[None])[0])[0]
     tracks = believed[:, annotated] + 0.5 * tracker.noise * rng.standard_normal((len(measured), 9, 3))
     return Scenario(
         name=name,

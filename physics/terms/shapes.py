@@ -28,7 +28,7 @@ class Shape:
 def shape_of(batch) -> Shape:
     """The shapes of a batch's systems in frame 0, worked out once, on the CPU in float64, so that equal bodies have equal axes."""
     if batch not in _SHAPES:
-        found = zip(*(_shape(s.home) for s in batch.systems), strict=True)
+        found = zip(*(_shape(s.material) for s in batch.systems), strict=True)
         _SHAPES[batch] = Shape(*(batch._real(np.stack(part)) for part in found))
     return _SHAPES[batch]
 
