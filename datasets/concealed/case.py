@@ -108,7 +108,8 @@ def _scripts(planned, body, rng):
 def _clear(planned, body, scripts, plain, rng, clear, chaos):
     """The effect at a size that moves the points of the fit recording clearly, the motions with it, and by how much it moves them."""
     low, high = max(clear[0], BEYOND * chaos), clear[1] * planned.most
-    entropy, size, bounds, tried = int(rng.integers(2**63)), 1.0, list(SIZES), []
+    entropy, size, tried = int(rng.integers(2**63)), 1.0, []
+    under = over = None
     for _ in range(SEARCH if planned.sized else 1):
         try:
             effect = planned.draw(Occasion(body, scripts, plain, np.random.default_rng(entropy)), size)
@@ -119,11 +120,14 @@ def _clear(planned, body, scripts, plain, rng, clear, chaos):
         if low <= moved <= high:
             break
         tried.append(f"{size:.3g} by {1000 * moved:.1f} mm")
-        bounds[moved > high] = size
-        size = float(np.clip(size * (2.5 if moved < low else 0.4), *SIZES)) if set(bounds) & set(SIZES) else np.sqrt(np.prod(bounds))
-        if size == bounds[0] or size == bounds[1]:
-            raise Dull(f"{planned.name} moves the points too little or too much: size {', '.join(tried)}")
-    else:
+        under, over = (size, over) if moved < low else (under, size)
+        if under and over:
+            size = float(np.sqrt(under * over))
+        elif size in SIZES:
+            break
+        else:
+            size = float(np.clip(2.5 * size if under else 0.4 * size, *SIZES))
+    if not low <= moved <= high:
         raise Dull(f"{planned.name} finds no size that moves the points by {1000 * low:.0f} to {1000 * high:.0f} mm: {', '.join(tried)}")
     later, motion_later = _moved(planned, effect, scripts[1], plain[1])
     if not later >= LEAST:

@@ -215,7 +215,7 @@ def ground_adhesion(on, size):
 
 @_effect(fits=("drag",))
 def friction_law(on, size):
-    extra, speed = size * on.rng.uniform(0.8, 1.5), on.rng.uniform(0.04, 0.1)
+    extra, speed = min(size * on.rng.uniform(0.6, 1.2), 1.5), on.rng.uniform(0.04, 0.1)
     low = replace(on.body, friction=0.25)
     parameters = {"static": 0.25 + extra, "kinetic": 0.25, "speed_m_s": speed}
     return Effect(low, Physics(laws=(laws.stick(extra, speed),)), parameters=parameters, without=low)

@@ -67,6 +67,7 @@ class World:
         self.slides = self.model.jnt_qposadr[self.model.body_jntadr[self.bodies]][:, None] + np.arange(3)
         self.model.opt.gravity[:] = physics.gravity
         self.set_mass(body.mass)
+        self.mujoco.mj_setConst(self.model, self.data)
         self.model.dof_damping[self.dofs] = body.drag * body.mass[:, None]
         self._material()
         self._grips(script)
@@ -80,9 +81,6 @@ class World:
     def set_mass(self, mass: np.ndarray) -> None:
         """Masses (V,) [kg] of the vertices from now on."""
         self.model.body_mass[self.bodies] = mass
-        state = self.data.qpos.copy()
-        self.mujoco.mj_setConst(self.model, self.data)  # it leaves the reference pose in data
-        self.data.qpos[:] = state
 
     def positions(self) -> np.ndarray:
         return self.start + self.data.qpos[self.slides]

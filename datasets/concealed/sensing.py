@@ -135,11 +135,7 @@ def observe(
         controllers=_controllers(hands, motion, tracker, faults, rng),
         surface=rounded(structure),
         interior=rounded(interior),
-        colors=np.where(
-            visible[..., None],
-            _colors(attached.at(_skin(body, body.vertices[None])[0])[0, tracked], np.random.default_rng(tracker.texture)),
-            0,
-        ),
+        colors=np.where(visible[..., None], _colors(rest[tracked], np.random.default_rng(tracker.texture)), 0),
         fps=FPS,
         gravity=np.array([0.0, 0.0, GRAVITY]),
         ground=Plane(np.array([0.0, 0.0, -1.0])),
