@@ -21,7 +21,7 @@ def make_backward(kit):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
     pa = kit.vectors["axial"]
-    load_axial, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    load_axial, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
     get_x, get_v, sum3, sum_axial, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.give
     node, end, _inertia = node_functions(kit)
     back_move = _back_move(kit)

@@ -82,6 +82,8 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
     vec = wp.types.vector(3, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED}
+    pair = wp.types.vector(2, R)
+    vectors |= dict(natural=pair, turned_natural=pair, twist=vectors["hinge"])
     get_x, get_v, put = state_access(R, vec)
     World, Adjoint = _structs(R, vec, vectors)
     return SimpleNamespace(
@@ -93,6 +95,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         laws=laws.fuse(),
         links=laws.start("links"),
         colliding=bool(laws.stage("contact")),
+        hinged=bool(laws.stage("hinge")),
         watching=bool(laws.stage("observer")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
         get_x=get_x,
@@ -120,7 +123,8 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, ph, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pair = vectors["natural"]
 
     @wp.struct
     class World:
@@ -150,6 +154,22 @@ def _structs(R, vec, vectors):
         met: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after contacts (only with contacts)
         hits: wp.array2d(dtype=wp.int32)  # (slots, nodes) contacts in the substep
         force: wp.array(dtype=vec)  # (nodes,) reactions left by lower ends
+        hinge_start: wp.array(dtype=wp.int32)  # (B+1,) first hinge of each system
+        joint: wp.array2d(dtype=wp.int32)  # (H, 3) nodes before, at and after; -1 where it is left out
+        sides: wp.array2d(dtype=wp.int32)  # (H, 2) segments with directors that it joins, or -1
+        hinge_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        hinge_of: wp.array(dtype=wp.int32)  # 3 hinge + place in it
+        natural: wp.array(dtype=pair)  # (H,) curvature
+        span: wp.array(dtype=R)  # (H,) m
+        flexure: wp.array(dtype=R)  # (H,)
+        moment: wp.array2d(dtype=vec)  # (H, 2) N, forces on the nodes before and after
+        segment_start: wp.array(dtype=wp.int32)  # (B+1,) first segment of each system
+        segment: wp.array2d(dtype=wp.int32)  # (S, 2) nodes from and to
+        ends: wp.array2d(dtype=wp.int32)  # (S, 2) hinge before and after, or -1
+        loose: wp.array(dtype=R)  # (S,) 1: free to roll, 0: held
+        directors: wp.array2d(dtype=vec)  # (slots, S)
+        turn_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        turn_of: wp.array(dtype=wp.int32)  # 4 segment + place among the nodes around it
         near_row: wp.array(dtype=wp.int32)  # (nodes+1,) first contact candidate
         near: wp.array(dtype=wp.int32)  # (candidates,)
         out: wp.array2d(dtype=vec)  # (frames, nodes) m, at the ends of the frames from the first on

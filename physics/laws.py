@@ -44,9 +44,10 @@ class Laws:
         return sum(self.width(s) for s in STAGES[: STAGES.index(stage)])
 
     def fuse(self) -> SimpleNamespace:
-        """One Warp function, generic in its precision, for each stage: axial, body, observer, velocity, contact (None without one), move."""
+        """One Warp function, generic in its precision, for each stage: axial, hinge, body, observer, velocity, contact (None without one), move."""
         return SimpleNamespace(
             axial=_axial(self),
+            hinge=_hinge(self),
             body=_body(self),
             observer=_observer(self),
             velocity=_velocity(self),
@@ -69,6 +70,24 @@ def _plus_axial(before, law, offset):
     @wp.func
     def total(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any):
         return before(length, rate, rest, stiffness, p) + law(length, rate, rest, stiffness, p, offset)
+
+    return total
+
+
+def _hinge(laws):
+    @wp.func
+    def total(kappa: Any, rate: Any, natural: Any, span: Any, p: Any):
+        return type(kappa)()
+
+    for term, offset in laws.stage("hinge"):
+        total = _plus_hinge(total, term.law, offset)
+    return total
+
+
+def _plus_hinge(before, law, offset):
+    @wp.func
+    def total(kappa: Any, rate: Any, natural: Any, span: Any, p: Any):
+        return before(kappa, rate, natural, span, p) + law(kappa, rate, natural, span, p, offset)
 
     return total
 

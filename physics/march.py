@@ -13,7 +13,7 @@ from torch.autograd.function import once_differentiable
 from .contacts import candidates
 from .terms.base import STAGED
 
-__all__ = ["Adjoint", "Inputs", "March", "Stretch", "World"]
+__all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
 
 
 @dataclass
@@ -21,6 +21,7 @@ class Inputs:
     """Everything continuous that a roll-out depends on, as tensors over the whole batch; any of them may require gradients.
 
     x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns)
+    natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains
     """
 
     x: torch.Tensor
@@ -30,6 +31,19 @@ class Inputs:
     stiffness: torch.Tensor
     path: torch.Tensor
     table: torch.Tensor
+    natural: torch.Tensor
+    flexure: torch.Tensor
+    directors: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What a march passes on besides positions and velocities; ``replace(inputs, x=x, v=v, **vars(carried))`` goes on from there.
+
+    directors  (segments, 3) of the ropes
+    """
+
+    directors: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -54,7 +68,7 @@ class Carrier:
         self.set(**tensors)
 
     def set(self, **tensors):
-        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen"}
+        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen", "moment", "directors"}
         for name, tensor in tensors.items():
             kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
             dtype = wp.int32 if tensor.dtype == torch.int32 else kind
@@ -67,9 +81,9 @@ class Carrier:
 
 
 class World(Carrier):
-    """The state of a batch in ``slots`` slots, starting at (x, v), with ``near`` the contact candidates."""
+    """The state of a batch in ``slots`` slots, starting at (x, v, directors), with ``near`` the contact candidates."""
 
-    def __init__(self, batch, values, x, v, near, slots, out):
+    def __init__(self, batch, values, x, v, directors, near, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -77,7 +91,9 @@ class World(Carrier):
 
         state = empty(slots, n, 8)
         state[0, :, 0:3], state[0, :, 4:7] = x, v
-        self.states = state
+        ways = empty(slots if batch.hinged else 1, *directors.shape)
+        ways[0] = directors
+        self.states, self.ways = state, ways
         kept = slots if slots > 2 else 1
         met = slots if batch.colliding else 1
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
@@ -88,7 +104,8 @@ class World(Carrier):
             dict(
                 **batch.constants,
                 **{k: values[k][batch.constants["spring"].long()] for k in ("rest", "stiffness")},
-                **{k: values[k] for k in ("mass", "path", "table")},
+                **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure")},
+                **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
                 **dict(state=state.view(-1), pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(near_row=near_row, near=near, counters=counters),
@@ -97,11 +114,14 @@ class World(Carrier):
         self.struct.nodes = n
 
     def end(self, stretch: Stretch):
-        """(x, v) at the end of a stretch."""
-        slot = torch.as_tensor(stretch.count % self.slots, device=self._batch.device)[self._batch.system_of]
-        node = torch.arange(len(slot), device=slot.device)
-        end = self.states[slot, node]
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous()
+        """(x, v, directors) at the end of a stretch."""
+        batch = self._batch
+        slot = torch.as_tensor(stretch.count % self.slots, device=batch.device)
+        node = torch.arange(batch.node_count, device=batch.device)
+        end = self.states[slot[batch.system_of], node]
+        segment = torch.arange(self.ways.shape[1], device=batch.device)
+        ways = self.ways[slot[batch.rope_system] % len(self.ways), segment]
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), ways
 
 
 class Adjoint(Carrier):
@@ -142,7 +162,8 @@ class March(torch.autograd.Function):
     @staticmethod
     def forward(ctx, batch, frame, frames, *inputs):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
-        x, v = values["x"], values["v"]
+        state = tuple(values[k] for k in ("x", "v", "directors"))
+        x = state[0]
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
         stretches = batch.stretches(frames, history=back)
@@ -150,17 +171,17 @@ class March(torch.autograd.Function):
         keep = back and len(stretches) == 1
         for stretch in stretches:
             if batch.colliding and stretch.begin == 0:
-                near = candidates(batch, x, values["table"])
-            world = World(batch, values, x, v, near, stretch.history if keep else 2, out[stretch.frame :])
-            ctx.starts.append((x, v, near))
+                near = candidates(batch, state[0], values["table"])
+            world = World(batch, values, *state, near, stretch.history if keep else 2, out[stretch.frame :])
+            ctx.starts.append((*state, near))
             batch.forward(world, frame, stretch)
-            x, v = world.end(stretch)
+            state = world.end(stretch)
             if keep:
                 world.set(out=out.new_empty((0, *out.shape[1:])))  # an output that its own context held would never be freed
                 ctx.world = world
         ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
         ctx.batch, ctx.frame, ctx.stretches = batch, frame, stretches
-        return out, x, v
+        return out, *state
 
     @staticmethod
     @once_differentiable
@@ -180,3 +201,30 @@ class March(torch.autograd.Function):
             batch.backward(world, adjoint, ctx.frame, stretch)
         gradients = adjoint.gradients()
         return (None, None, None, *(gradients[f.name] if f.name in wanted else None for f in fields(Inputs)))
+
+
+SETTLED = 1e-3  # of a director's change in ``ROUND`` substeps: at rest
+ROUND, ROUNDS = 100, 20
+STOPPED = 1e-9  # s: a clock that all but stands, so that directors relax and nothing else moves
+
+
+@torch.no_grad()
+def settled(batch, inputs: Inputs) -> torch.Tensor:
+    """(segments, 3) directors of ``inputs`` after their twist has come to rest in frame 0, positions being held. No gradients.
+
+    They are what the engine's own substeps make of them while the clock all but stands.
+    """
+    values = {k: t.detach().contiguous() for k, t in vars(batch.prepare(inputs)).items()}
+    x, v, directors = (values[k] for k in ("x", "v", "directors"))
+    values["path"] = values["path"][:1].contiguous()
+    nobody = torch.zeros(batch.node_count + 1, dtype=torch.int32, device=batch.device)
+    stretch = Stretch(0, 0, np.full(len(batch.systems), ROUND))
+    for _ in range(ROUNDS):
+        world = World(batch, values, x, torch.zeros_like(v), directors, (nobody, nobody), 2, x[None, :].expand(1, *x.shape).contiguous())
+        one = torch.ones(len(batch.systems), dtype=batch.dtype, device=batch.device)
+        world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
+        batch.forward(world, 0, stretch)
+        before, directors = directors, world.end(stretch)[2]
+        if (directors - before).abs().max() < SETTLED:
+            break
+    return directors

@@ -1,6 +1,8 @@
 """The physics that a system can have: one term, one file. Removing a term from a system's list removes that physics."""
 
 from .base import Effect, Term
+from .bending import Bending
+from .bending_damping import BendingDamping
 from .controller_springs import ControllerSprings
 from .dashpot import Dashpot
 from .gravity import Gravity
@@ -8,5 +10,19 @@ from .ground import Ground
 from .linear_drag import LinearDrag
 from .self_collision import SelfCollision
 from .springs import Springs
+from .torsion import Torsion
 
-__all__ = ["ControllerSprings", "Dashpot", "Effect", "Gravity", "Ground", "LinearDrag", "SelfCollision", "Springs", "Term"]
+__all__ = [
+    "Bending",
+    "BendingDamping",
+    "ControllerSprings",
+    "Dashpot",
+    "Effect",
+    "Gravity",
+    "Ground",
+    "LinearDrag",
+    "SelfCollision",
+    "Springs",
+    "Term",
+    "Torsion",
+]
