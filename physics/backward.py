@@ -1,7 +1,8 @@
 """The adjoint kernel: the forward kernel's phases in reverse, from recorded states, with each law's derivative from ``wp.grad``.
 
 A force law F = T(l, l') d along a spring gives its ends opposite forces, so node i needs of each of its springs only w = g_i - g_o, the
-difference of the force adjoints at the two ends: another gather, without contention. The springs' phase of substep k and the node's own
+difference of the force adjoints at the two ends: another gather, without contention. Hinges and directors come before, in phases of their
+own, because a director's adjoint reaches the positions from which it was carried along. The springs' phase of substep k and the node's own
 phase of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
 
 Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` before it meets it plainly; this file keeps to that order.
@@ -12,6 +13,7 @@ import warp as wp
 from .forward import node_functions, sighting
 from .native import barrier
 from .paths import give_path, give_speed, speed
+from .rods_back import make_back_rods
 
 __all__ = ["make_backward"]
 
@@ -22,6 +24,8 @@ def make_backward(kit):
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
     pa = kit.vectors["axial"]
     load_axial, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    hinged = kit.hinged
+    back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
     get_x, get_v, sum3, sum_axial, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.give
     node, end, _inertia = node_functions(kit)
     back_move = _back_move(kit)
@@ -56,6 +60,7 @@ def make_backward(kit):
         hi = w.start[b + 1]
         width = blocks * wp.block_dim()
         p_axial = load_axial(w.table, b)
+        p_hinge = load_hinge(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
@@ -71,6 +76,17 @@ def make_backward(kit):
                 if k < count:
                     for i in range(lo + lane, hi, width):
                         back_contacts(w, a, k, i, frame, begin + k, substeps, dt, p_velocity, p_body, p_observer, p_contact)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            if wp.static(hinged):
+                if k < count and w.hinge_start[b + 1] > w.hinge_start[b]:
+                    for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
+                        back_bend(w, a, k, h, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                if w.segment_start[b + 1] > w.segment_start[b]:
+                    for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
+                        back_turn(w, a, k, s, count, p_hinge)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             for base in range(lo, hi, width // lanes):
@@ -113,6 +129,10 @@ def make_backward(kit):
                     give_axial(a.axial, i, gp)
                 gx += a.x[i]
                 gv += a.v[i]
+                if wp.static(hinged):
+                    hx, hv = regained(w, a, k, i, count)
+                    gx += hx
+                    gv += hv
                 step = begin + k
                 if k > 0 and step % substeps == 0:
                     gx += a.out[step // substeps - 1, i]
@@ -270,7 +290,18 @@ def _back_contacts(kit, back_push):
 
     @wp.func
     def back_contacts(
-        w: World, a: Adjoint, slot: int, i: int, frame: int, step: int, substeps: int, dt: R, p_velocity: pv, p_body: pb, p_observer: po, p: pc
+        w: World,
+        a: Adjoint,
+        slot: int,
+        i: int,
+        frame: int,
+        step: int,
+        substeps: int,
+        dt: R,
+        p_velocity: pv,
+        p_body: pb,
+        p_observer: po,
+        p: pc,
     ):
         """v_i' = v_i + mean_j J_ij / m_i, and J_ji = -J_ij: particle i collects its part in its own and its partners' sums."""
         x = get_x(w.state, slot * w.nodes + i)

@@ -83,7 +83,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     vec = wp.types.vector(3, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED}
     pair = wp.types.vector(2, R)
-    vectors |= dict(natural=pair, turned_natural=pair, twist=vectors["hinge"])
+    vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
     get_x, get_v, put = state_access(R, vec)
     World, Adjoint = _structs(R, vec, vectors)
     return SimpleNamespace(
@@ -104,6 +104,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         sum3=lane_sum(vec, 3),
         sum_axial=lane_sum(vectors["axial"], laws.width("axial")),
         give=adder(R, 0),
+        give_pair=adder(vectors["natural"], 2),
         give_all={s: adder(vectors[s], laws.width(s)) for s in STAGED},
     )
 
@@ -186,6 +187,15 @@ def _structs(R, vec, vectors):
         stiffness: wp.array(dtype=R)
         mass: wp.array(dtype=R)
         path: wp.array2d(dtype=vec)
+        natural: wp.array(dtype=pair)  # (H,)
+        flexure: wp.array(dtype=R)
+        directors: wp.array(dtype=vec)  # (S,) in: at the stretch's end, out: at its start
+        bent: wp.array2d(dtype=vec)  # (H, 8) of a substep's hinge forces: its nodes' x, their v, its two directors
+        turned: wp.array3d(dtype=vec)  # (2, S, 11) of an even and an odd substep's roll: three directors, four nodes' x before and after
+        rolled_natural: wp.array(dtype=pair)  # (2 S,) by the roll: of the hinge before and the hinge after
+        rolled_flexure: wp.array(dtype=R)
+        hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient by forces
+        twist: wp.array(dtype=ph)  # (S,) and by rolls
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
         body: wp.array(dtype=pb)
         observer: wp.array(dtype=po)

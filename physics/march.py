@@ -68,7 +68,8 @@ class Carrier:
         self.set(**tensors)
 
     def set(self, **tensors):
-        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen", "moment", "directors"}
+        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen", "moment"}
+        vectors |= {"directors", "bent", "turned"}
         for name, tensor in tensors.items():
             kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
             dtype = wp.int32 if tensor.dtype == torch.int32 else kind
@@ -125,25 +126,32 @@ class World(Carrier):
 
 
 class Adjoint(Carrier):
-    """Adjoints of a batch's state and inputs: ``x`` and ``v`` of the state at the end, ``out`` of the positions at the frames.
+    """Adjoints of a batch's state and inputs: ``x``, ``v`` and ``directors`` of the state at the end, ``out`` of the positions at the frames.
 
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, out, wanted):
+    def __init__(self, batch, values, x, v, directors, out, wanted):
         self.batch = batch
+        hinges, segments = len(values["flexure"]), len(directors)
 
-        def zeros(width):
-            return torch.zeros((batch.node_count, width), dtype=batch.dtype, device=batch.device)
+        def zeros(*width, count=batch.node_count):
+            return torch.zeros((count, *width), dtype=batch.dtype, device=batch.device)
 
-        stages = {s: zeros(batch.laws.width(s)) for s in STAGED}
-        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path")}
+        stages = {s: zeros(batch.laws.width(s), count=hinges if s == "hinge" else batch.node_count) for s in STAGED}
+        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure")}
+        rods = dict(
+            bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2), twist=zeros(batch.laws.width("hinge"), count=segments)
+        )
+        rods |= dict(rolled_natural=zeros(2, count=2 * segments), rolled_flexure=zeros(count=2 * segments))
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
             dict(
                 **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), out=out, met=zeros(3)),
-                **dict(force=torch.stack([zeros(3)] * 2), links=zeros(1)[:, 0], **stages, **inputs),
+                **dict(
+                    force=torch.stack([zeros(3)] * 2), links=zeros(), directors=directors.contiguous().clone(), **stages, **inputs, **rods
+                ),
             ),
         )
         for name in ("rest", "mass", "table"):
@@ -152,10 +160,22 @@ class Adjoint(Carrier):
     def gradients(self):
         """By input: the state's at the start, and everything else's summed over the whole way."""
         t, batch = self.tensors, self.batch
-        shares = torch.cat([t[s].reshape(batch.node_count, -1) for s in (*STAGED, "links")], 1)
+
+        def by_system(shares, starts):
+            return torch.stack([shares[a:b].sum(0) for a, b in pairwise(starts)])
+
+        nodal = [s for s in (*STAGED, "links") if s != "hinge"]
+        shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
+        parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
+        parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
-        table[:, : shares.shape[1]] = torch.stack([shares[a:b].sum(0) for a, b in pairwise(batch.starts)])
-        return {"x": t["x"], "v": t["v"], "table": table, **{k: t[k] for k in ("mass", "rest", "stiffness", "path")}}
+        for stage, part in parts.items():
+            first = batch.laws.start(stage)
+            table[:, first : first + part.shape[1]] = part
+        ends = batch.constants["ends"].flatten().long()
+        for name in ("natural", "flexure"):
+            t[name].index_add_(0, ends.clamp(min=0), t[f"rolled_{name}"])  # that of no hinge is 0
+        return {"table": table, **{k: t[k] for k in ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors")}}
 
 
 class March(torch.autograd.Function):
@@ -185,12 +205,12 @@ class March(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, g_out, g_x, g_v):
+    def backward(ctx, g_out, *g_state):
         batch = ctx.batch
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), ctx.saved_tensors, strict=True)}
         given = g_out.contiguous()
         wanted = {f.name for f, needed in zip(fields(Inputs), ctx.needs_input_grad[3:], strict=True) if needed}
-        adjoint = Adjoint(batch, values, g_x, g_v, given, wanted)
+        adjoint = Adjoint(batch, values, *g_state, given, wanted)
         scratch = torch.empty_like(g_out)
         for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             world = ctx.world

@@ -56,7 +56,21 @@ def rod_functions(kit):
 
     @wp.func
     def pushed(
-        a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, kb: vec, m1: vec, m2: vec, kappa: vec, twists: R, natural: vec, span: R, flexure: R, p: ph
+        a: vec,
+        b: vec,
+        c: vec,
+        va: vec,
+        vb: vec,
+        vc: vec,
+        kb: vec,
+        m1: vec,
+        m2: vec,
+        kappa: vec,
+        twists: R,
+        natural: vec,
+        span: R,
+        flexure: R,
+        p: ph,
     ):
         """Forces on nodes a and c; ``m1`` and ``m2`` are the sums of the segments' axes."""
         t = tangent(a, b)
@@ -83,9 +97,7 @@ def rod_functions(kit):
         return f1 * m[0] + f2 * m[1] + f3 * m[2], -(g1 * m[0] + g2 * m[1] + g3 * m[2])
 
     @wp.func
-    def framed(
-        a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, p: ph
-    ):
+    def framed(a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, p: ph):
         """Forces on nodes a and c of a hinge between two segments with directors."""
         t = tangent(a, b)
         u = tangent(b, c)
@@ -257,8 +269,6 @@ def make_rods(kit):
         a, b, c, d = stretch_of(w, here, s, h0, h1)
         a2, b2, c2, d2 = stretch_of(w, there, s, h0, h1)
         e0, e1, e2 = directors_of(w, here, s, h0, h1)
-        w.directors[there, s] = roll(
-            e0, e1, e2, a, b, c, d, a2, b2, c2, d2, n0, n1, span0, span1, flexure0, flexure1, w.loose[s], p
-        )
+        w.directors[there, s] = roll(e0, e1, e2, a, b, c, d, a2, b2, c2, d2, n0, n1, span0, span1, flexure0, flexure1, w.loose[s], p)
 
     return bend, bent, turn

@@ -12,9 +12,8 @@ __all__ = ["Bending"]
 
 @wp.func
 def moment(kappa: Any, rate: Any, natural: Any, span: Any, p: Any, o: int):
-    m = (kappa - p[o + 1] * natural) * (p[o] / span)
-    m[2] = type(span)(0.0)
-    return m
+    bent = (kappa - p[o + 1] * natural) * (p[o] / span)
+    return type(kappa)(bent[0], bent[1], type(span)(0.0))
 
 
 class Bending(Term):

@@ -12,9 +12,8 @@ __all__ = ["BendingDamping"]
 
 @wp.func
 def moment(kappa: Any, rate: Any, natural: Any, span: Any, p: Any, o: int):
-    m = rate * (p[o] / span)
-    m[2] = type(span)(0.0)
-    return m
+    resisted = rate * (p[o] / span)
+    return type(kappa)(resisted[0], resisted[1], type(span)(0.0))
 
 
 class BendingDamping(Term):

@@ -12,9 +12,7 @@ __all__ = ["Torsion"]
 
 @wp.func
 def moment(kappa: Any, rate: Any, natural: Any, span: Any, p: Any, o: int):
-    m = type(kappa)()
-    m[2] = p[o] * kappa[2] / span
-    return m
+    return type(kappa)(type(span)(0.0), type(span)(0.0), p[o] * kappa[2] / span)
 
 
 class Torsion(Term):
