@@ -63,7 +63,8 @@ class Ropes:
     def fitted(self, directors, positions, sides, natural, weight) -> np.ndarray:
         """``directors`` (S, 3), those of each chain rolled by one angle, so that its curvature is nearest to ``natural`` (H, 2).
 
-        The least sum of weight |kappa - natural|^2 over a chain's hinges: both as complex numbers, the roll is arg sum(weight kappa natural*).
+        The least sum of weight |kappa - natural|^2 over a chain's hinges: with both as complex numbers, the roll is
+        arg sum(weight kappa natural*).
         """
         framed = np.flatnonzero(sides[:, 0] >= 0)
         t = unit(positions[self.segments[:, 1]] - positions[self.segments[:, 0]])
@@ -89,14 +90,14 @@ def transport(d, t, u):
 
 
 def curvature(t, u, d, e):
-    """(K, 2) curvature components between tangents ``t`` and ``u`` (K, 3) with directors ``d`` and ``e``; Bergou et al. 2008, equation 1."""
+    """(K, 2) curvature between tangents ``t`` and ``u`` (K, 3) with directors ``d`` and ``e``; Bergou et al. 2008, equation 1."""
     binormal = 2 * np.cross(t, u) / np.maximum(1 + (t * u).sum(1, keepdims=True), FOLD)
     one = (binormal * (np.cross(t, d) + np.cross(u, e))).sum(1) / 2
     return np.stack([one, -(binormal * (d + e)).sum(1) / 2], 1)
 
 
 def natural_curvature(positions, hinges, chains=()) -> np.ndarray:
-    """(H, 2) curvature [-] of ``hinges`` (H, 3) in a body at ``positions`` (nodes, 3) m: what ``System.natural`` is for a body that rests so.
+    """(H, 2) curvature [-] of ``hinges`` (H, 3) of a body at ``positions`` (nodes, 3) m: ``System.natural`` of one that rests so.
 
     Along a chain both components are in directors without twist; elsewhere the first is 2 tan(angle / 2) and the second 0.
     """

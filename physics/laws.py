@@ -44,7 +44,7 @@ class Laws:
         return sum(self.width(s) for s in STAGES[: STAGES.index(stage)])
 
     def fuse(self) -> SimpleNamespace:
-        """One Warp function, generic in its precision, for each stage: axial, hinge, body, observer, velocity, contact (None without one), move."""
+        """One Warp function, generic in its precision, for each stage whose laws are in the kernels; contact is None without one."""
         return SimpleNamespace(
             axial=_axial(self),
             hinge=_hinge(self),

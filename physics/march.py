@@ -126,7 +126,7 @@ class World(Carrier):
 
 
 class Adjoint(Carrier):
-    """Adjoints of a batch's state and inputs: ``x``, ``v`` and ``directors`` of the state at the end, ``out`` of the positions at the frames.
+    """Adjoints of a batch's state and inputs: ``x``, ``v``, ``directors`` of the state at the end, ``out`` of the positions at the frames.
 
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
@@ -140,18 +140,18 @@ class Adjoint(Carrier):
 
         stages = {s: zeros(batch.laws.width(s), count=hinges if s == "hinge" else batch.node_count) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure")}
-        rods = dict(
-            bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2), twist=zeros(batch.laws.width("hinge"), count=segments)
-        )
+        rods = dict(bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2))
+        rods |= dict(twist=zeros(batch.laws.width("hinge"), count=segments))
         rods |= dict(rolled_natural=zeros(2, count=2 * segments), rolled_flexure=zeros(count=2 * segments))
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
             dict(
                 **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), out=out, met=zeros(3)),
-                **dict(
-                    force=torch.stack([zeros(3)] * 2), links=zeros(), directors=directors.contiguous().clone(), **stages, **inputs, **rods
-                ),
+                **dict(force=torch.stack([zeros(3)] * 2), links=zeros(), directors=directors.contiguous().clone()),
+                **stages,
+                **inputs,
+                **rods,
             ),
         )
         for name in ("rest", "mass", "table"):

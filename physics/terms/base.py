@@ -20,6 +20,9 @@ term with a parameter ``collide_neighbours`` of 0 leaves out those that start cl
 A hinge is three nodes in a row; kappa holds its curvature about two material axes, 2 tan(angle / 2) = 2 tan(k l / 2), and its twist [rad];
 rate [1/s] is theirs, natural (n1, n2, 0) the wanted curvature, span [m] the length that the hinge stands for. See ``physics.rods``.
 
+A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
+over is wrong.
+
 Forces are summed over axial, hinge, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
 """
 

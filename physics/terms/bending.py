@@ -17,7 +17,7 @@ def moment(kappa: Any, rate: Any, natural: Any, span: Any, p: Any, o: int):
 
 
 class Bending(Term):
-    """M = B (kappa - s kappa_0) / l about both material axes: B [N m^2] is the flexural rigidity E I, kappa_0 the hinge's natural curvature.
+    """M = B (kappa - s kappa_0) / l about both material axes: B is the flexural rigidity E I, kappa_0 the hinge's natural curvature.
 
     Bergou et al., "Discrete elastic rods", 2008, equation 2 for an isotropic section.
     """
