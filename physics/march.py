@@ -238,13 +238,17 @@ def settled(batch, inputs: Inputs) -> torch.Tensor:
     x, v, directors = (values[k] for k in ("x", "v", "directors"))
     values["path"] = values["path"][:1].contiguous()
     nobody = torch.zeros(batch.node_count + 1, dtype=torch.int32, device=batch.device)
-    stretch = Stretch(0, 0, np.full(len(batch.systems), ROUND))
+    stretch, one = Stretch(0, 0, np.full(len(batch.systems), ROUND)), torch.ones(len(batch.systems), dtype=x.dtype, device=x.device)
+    moving = one > 0
     for _ in range(ROUNDS):
-        world = World(batch, values, x, torch.zeros_like(v), directors, (nobody, nobody), 2, x[None, :].expand(1, *x.shape).contiguous())
-        one = torch.ones(len(batch.systems), dtype=batch.dtype, device=batch.device)
+        world = World(batch, values, x, torch.zeros_like(v), directors, (nobody, nobody), 2, torch.empty_like(x[None]))
         world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
         batch.forward(world, 0, stretch)
-        before, directors = directors, world.end(stretch)[2]
-        if (directors - before).abs().max() < SETTLED:
+        relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[2], directors)
+        change = (relaxed - directors).abs().amax(1)
+        directors = relaxed
+        # each by itself, so that a batch is nothing but its systems
+        moving = moving & (torch.zeros_like(one).scatter_reduce(0, batch.rope_system, change, "amax") >= SETTLED)
+        if not moving.any():
             break
     return directors

@@ -3,10 +3,13 @@
 A hinge of nodes a, b, c joins two segments with unit tangents t, u and has the curvature binormal kb = 2 t x u / (1 + t.u), of length
 2 tan(angle / 2). Where both segments belong to a chain they carry directors d, e across them (material frames d, t x d), and
 
-    kappa_1 = kb . (t x d + u x e) / 2,   kappa_2 = -kb . (d + e) / 2,   tau = angle from d, carried over to u, to e.
+    kappa_1 = kb . (t x d + u x e) / 2c,   kappa_2 = -kb . (d + e) / 2c,   tau = angle from d, carried over to u, to e,
+
+with c = cos(tau / 2): the components of kb in the frame half way between the two. (Plain means of both frames' components, c = 1, are
+common, but shrink with twist: a rope that is bent strongly from hinge to hinge would then twist by itself to be rid of its bending.)
 
 Elsewhere only the amount of curvature is known: kappa = (|kb|, 0, 0). Moments M are conjugate to kappa, so that nodes feel
--sum_k M_k grad kappa_k; the gradients are those of Bergou et al. 2008, section 7.1, and the same give the rates.
+-sum_k M_k grad kappa_k; the gradients, those of Bergou et al. 2010, section A, and of c by that of tau, also give the rates.
 
 Twist has no inertia: its waves are faster than a substep can follow. Directors are carried along by the smallest rotation of their
 segments (parallel transport in time; Bergou et al. 2010, section 4), and every substep takes one damped Jacobi step of all free segments'
@@ -21,6 +24,7 @@ __all__ = ["make_rods", "reading", "rod_functions"]
 
 RELAXED = 0.6  # share of the Jacobi step that is taken: a free chain needs less than 1
 ROLL = 0.2  # rad, the most that a segment rolls in a substep
+WOUND = 0.05  # least cos(tau / 2) that counts: beyond 174 degrees of twist a frame half way is nowhere
 BLUNT = 1.0e-4  # rad: a hinge without directors forgets its axis below this angle
 IDLE = 1.0e-12  # N m: stiffness against roll that counts as none
 
@@ -45,14 +49,14 @@ def rod_functions(kit):
         return wp.max(R(1.0) + wp.dot(t, u), R(FOLD))
 
     @wp.func
-    def measured(t: vec, u: vec, kb: vec, d: vec, e: vec):
-        """(kappa_1, kappa_2, tau)."""
+    def twist_of(t: vec, u: vec, d: vec, e: vec):
         r = carried(d, t, u)
-        return vec(
-            R(0.5) * wp.dot(kb, wp.cross(t, d) + wp.cross(u, e)),
-            R(-0.5) * wp.dot(kb, d + e),
-            wp.atan2(wp.dot(wp.cross(r, e), u), wp.dot(r, e)),
-        )
+        return wp.atan2(wp.dot(wp.cross(r, e), u), wp.dot(r, e))
+
+    @wp.func
+    def halved(tau: R):
+        """1 / cos(tau / 2)."""
+        return R(1.0) / wp.max(wp.cos(R(0.5) * tau), R(WOUND))
 
     @wp.func
     def pushed(
@@ -67,12 +71,18 @@ def rod_functions(kit):
         m2: vec,
         kappa: vec,
         twists: R,
+        lean: R,
         natural: vec,
         span: R,
         flexure: R,
         p: ph,
     ):
-        """Forces on nodes a and c; ``m1`` and ``m2`` are the sums of the segments' axes."""
+        """Forces on nodes a and c.
+
+        m1, m2  sums of the segments' axes, divided by c: twice those of the frame half way
+        twists  1 where the segments have directors, or 0
+        lean    tan(tau / 2) / 2, by which the frame half way follows the twist
+        """
         t = tangent(a, b)
         u = tangent(b, c)
         chi = folded(t, u)
@@ -84,12 +94,12 @@ def rod_functions(kit):
         k1 = R(0.5) * wp.dot(kb, m2)
         k2 = R(-0.5) * wp.dot(kb, m1)
         # gradients by the first and the second segment
-        f1 = (wp.cross(u, s2) - middle * k1) * before
-        g1 = (-wp.cross(t, s2) - middle * k1) * after
-        f2 = (-wp.cross(u, s1) - middle * k2) * before
-        g2 = (wp.cross(t, s1) - middle * k2) * after
         f3 = kb * (R(0.5) * twists * before)
         g3 = kb * (R(0.5) * twists * after)
+        f1 = (wp.cross(u, s2) - middle * k1) * before + f3 * (k1 * lean)
+        g1 = (-wp.cross(t, s2) - middle * k1) * after + g3 * (k1 * lean)
+        f2 = (-wp.cross(u, s1) - middle * k2) * before + f3 * (k2 * lean)
+        g2 = (wp.cross(t, s1) - middle * k2) * after + g3 * (k2 * lean)
         p1 = vb - va
         p2 = vc - vb
         rate = vec(wp.dot(f1, p1) + wp.dot(g1, p2), wp.dot(f2, p1) + wp.dot(g2, p2), wp.dot(f3, p1) + wp.dot(g3, p2))
@@ -102,8 +112,13 @@ def rod_functions(kit):
         t = tangent(a, b)
         u = tangent(b, c)
         kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
-        kappa = measured(t, u, kb, d, e)
-        fa, fc = pushed(a, b, c, va, vb, vc, kb, d + e, wp.cross(t, d) + wp.cross(u, e), kappa, R(1.0), natural, span, flexure, p)
+        tau = twist_of(t, u, d, e)
+        half = halved(tau)
+        m1 = (d + e) * half
+        m2 = (wp.cross(t, d) + wp.cross(u, e)) * half
+        kappa = vec(R(0.5) * wp.dot(kb, m2), R(-0.5) * wp.dot(kb, m1), tau)
+        lean = R(0.5) * wp.sin(R(0.5) * tau) * half
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(1.0), lean, natural, span, flexure, p)
         return fa, fc
 
     @wp.func
@@ -115,26 +130,30 @@ def rod_functions(kit):
         bent = wp.sqrt(wp.dot(kb, kb) + R(BLUNT * BLUNT))
         wanted = vec(natural[0], R(0.0), R(0.0))
         kappa = vec(bent, R(0.0), R(0.0))
-        fa, fc = pushed(a, b, c, va, vb, vc, kb, vec(), kb * (R(2.0) / bent), kappa, R(0.0), wanted, span, flexure, p)
+        axis = kb * (R(2.0) / bent)
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, vec(), axis, kappa, R(0.0), R(0.0), wanted, span, flexure, p)
         return fa, fc
 
     @wp.func
-    def resisted(t: vec, u: vec, d: vec, e: vec, own: vec, across: vec, side: R, natural: vec, span: R, flexure: R, p: ph):
-        """(slope, curvature) of a hinge's energy as the segment with director ``own`` and second axis ``across`` rolls.
+    def resisted(t: vec, u: vec, d: vec, e: vec, side: R, natural: vec, span: R, flexure: R, p: ph):
+        """(slope, curvature) of a hinge's energy as the segment after it (``side`` 1) or before it (-1) rolls.
 
-        The law's stiffness is what a unit of each component changes; ``side`` is +1 where the segment comes after the hinge. Of the second
-        derivative's part from the axes' own turning the magnitude is taken: the step is downhill whatever its sign.
+        The frame half way rolls by half of that: (kappa_1, kappa_2)' = (kappa_2, -kappa_1) / 2. The law's stiffness is what a unit of each
+        component changes. Of the second derivative's part from the frame's own turning the magnitude is taken: the step is downhill
+        whatever its sign.
         """
         kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
-        kappa = measured(t, u, kb, d, e)
-        k1 = R(-0.5) * wp.dot(kb, own)
-        k2 = R(-0.5) * wp.dot(kb, across)
+        tau = twist_of(t, u, d, e)
+        half = R(0.5) * halved(tau)
+        kappa = vec(wp.dot(kb, wp.cross(t, d) + wp.cross(u, e)) * half, -wp.dot(kb, d + e) * half, tau)
+        k1 = R(0.5) * kappa[1]
+        k2 = R(-0.5) * kappa[0]
         m = law(kappa, vec(), natural, span, p)
         s1 = law(kappa + vec(R(1.0), R(0.0), R(0.0)), vec(), natural, span, p)[0] - m[0]
         s2 = law(kappa + vec(R(0.0), R(1.0), R(0.0)), vec(), natural, span, p)[1] - m[1]
         s3 = law(kappa + vec(R(0.0), R(0.0), R(1.0)), vec(), natural, span, p)[2] - m[2]
         slope = m[0] * k1 + m[1] * k2 + m[2] * side
-        bend = s1 * k1 * k1 + s2 * k2 * k2 + s3 + wp.abs(m[0] * k2 - m[1] * k1)
+        bend = s1 * k1 * k1 + s2 * k2 * k2 + s3 + R(0.25) * wp.abs(m[0] * kappa[0] + m[1] * kappa[1])
         return slope * flexure, bend * flexure
 
     @wp.func
@@ -167,8 +186,8 @@ def rod_functions(kit):
         e1 = carried(d1, tangent(b, c), t1)
         e2 = carried(d2, tangent(c, d), t2)
         across = wp.cross(t1, e1)
-        slope0, bend0 = resisted(t0, t1, e0, e1, e1, across, R(1.0), natural0, span0, flexure0, p)
-        slope1, bend1 = resisted(t1, t2, e1, e2, e1, across, R(-1.0), natural1, span1, flexure1, p)
+        slope0, bend0 = resisted(t0, t1, e0, e1, R(1.0), natural0, span0, flexure0, p)
+        slope1, bend1 = resisted(t1, t2, e1, e2, R(-1.0), natural1, span1, flexure1, p)
         step = -(slope0 + slope1) / (bend0 + bend1 + R(IDLE)) * R(RELAXED)
         angle = wp.clamp(step, R(-ROLL), R(ROLL)) * free
         return e1 * wp.cos(angle) + across * wp.sin(angle)
