@@ -130,9 +130,10 @@ def make_backward(kit):
                 gx += a.x[i]
                 gv += a.v[i]
                 if wp.static(hinged):
-                    hx, hv = regained(w, a, k, i, count)
+                    hx, hv, later = regained(w, a, k, i, count)
                     gx += hx
                     gv += hv
+                    gx += later
                 step = begin + k
                 if k > 0 and step % substeps == 0:
                     gx += a.out[step // substeps - 1, i]

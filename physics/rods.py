@@ -8,12 +8,14 @@ A hinge of nodes a, b, c joins two segments with unit tangents t, u and has the 
 with c = cos(tau / 2): the components of kb in the frame half way between the two. (Plain means of both frames' components, c = 1, are
 common, but shrink with twist: a rope that is bent strongly from hinge to hinge would then twist by itself to be rid of its bending.)
 
-Elsewhere only the amount of curvature is known: kappa = (|kb|, 0, 0). Moments M are conjugate to kappa, so that nodes feel
--sum_k M_k grad kappa_k; the gradients, those of Bergou et al. 2010, section A, and of c by that of tau, also give the rates.
+Elsewhere any frame serves that does not twist from t to u, and only an amount of natural curvature is known. Moments M are conjugate to
+kappa, so that nodes feel -sum_k M_k grad kappa_k; the gradients, those of Bergou et al. 2010, section A, and of c by that of tau, also
+give the rates.
 
 Twist has no inertia: its waves are faster than a substep can follow. Directors are carried along by the smallest rotation of their
 segments (parallel transport in time; Bergou et al. 2010, section 4), and every substep takes one damped Jacobi step of all free segments'
-angles towards the balance of torques. A segment between two driven nodes is held: it is only carried along.
+angles towards the balance of torques, for which a rope resists twist by a fifth of its bending stiffness at least (an elastic rod of round
+section: by 1 / (1 + Poisson's ratio) of it). A segment between two driven nodes is held: it is only carried along.
 """
 
 import warp as wp
@@ -25,7 +27,8 @@ __all__ = ["make_rods", "reading", "rod_functions"]
 RELAXED = 0.6  # share of the Jacobi step that is taken: a free chain needs less than 1
 ROLL = 0.2  # rad, the most that a segment rolls in a substep
 WOUND = 0.05  # least cos(tau / 2) that counts: beyond 174 degrees of twist a frame half way is nowhere
-BLUNT = 1.0e-4  # rad: a hinge without directors forgets its axis below this angle
+LIMP = 0.2  # of the bending stiffness: a rope that resists twist by less would wind itself up; its directors rest as if it did by this
+BLUNT = 1.0e-3  # rad: below this angle a hinge without directors forgets which way it was bent by nature
 IDLE = 1.0e-12  # N m: stiffness against roll that counts as none
 
 
@@ -72,6 +75,8 @@ def rod_functions(kit):
         kappa: vec,
         twists: R,
         lean: R,
+        q1: R,
+        q2: R,
         natural: vec,
         span: R,
         flexure: R,
@@ -82,6 +87,7 @@ def rod_functions(kit):
         m1, m2  sums of the segments' axes, divided by c: twice those of the frame half way
         twists  1 where the segments have directors, or 0
         lean    tan(tau / 2) / 2, by which the frame half way follows the twist
+        q1, q2  what to leave out of the gradients of the first two components: their projection on this
         """
         t = tangent(a, b)
         u = tangent(b, c)
@@ -100,6 +106,12 @@ def rod_functions(kit):
         g1 = (-wp.cross(t, s2) - middle * k1) * after + g3 * (k1 * lean)
         f2 = (-wp.cross(u, s1) - middle * k2) * before + f3 * (k2 * lean)
         g2 = (wp.cross(t, s1) - middle * k2) * after + g3 * (k2 * lean)
+        fq = f1 * q1 + f2 * q2
+        gq = g1 * q1 + g2 * q2
+        f1 -= fq * q1
+        g1 -= gq * q1
+        f2 -= fq * q2
+        g2 -= gq * q2
         p1 = vb - va
         p2 = vc - vb
         rate = vec(wp.dot(f1, p1) + wp.dot(g1, p2), wp.dot(f2, p1) + wp.dot(g2, p2), wp.dot(f3, p1) + wp.dot(g3, p2))
@@ -118,20 +130,30 @@ def rod_functions(kit):
         m2 = (wp.cross(t, d) + wp.cross(u, e)) * half
         kappa = vec(R(0.5) * wp.dot(kb, m2), R(-0.5) * wp.dot(kb, m1), tau)
         lean = R(0.5) * wp.sin(R(0.5) * tau) * half
-        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(1.0), lean, natural, span, flexure, p)
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(1.0), lean, R(0.0), R(0.0), natural, span, flexure, p)
         return fa, fc
 
     @wp.func
     def plain(a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, natural: vec, span: R, flexure: R, p: ph):
-        """Forces on nodes a and c of a hinge without directors: its axis is its own binormal."""
+        """Forces on nodes a and c of a hinge without directors: of any one, for laws are the same in all directions.
+
+        The natural curvature is an amount, in whatever direction the hinge is bent; near straight it fades. What turns a bent hinge about
+        itself is no bending, so only the rate of the amount counts; near straight any.
+        """
         t = tangent(a, b)
         u = tangent(b, c)
         kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
-        bent = wp.sqrt(wp.dot(kb, kb) + R(BLUNT * BLUNT))
-        wanted = vec(natural[0], R(0.0), R(0.0))
-        kappa = vec(bent, R(0.0), R(0.0))
-        axis = kb * (R(2.0) / bent)
-        fa, fc = pushed(a, b, c, va, vb, vc, kb, vec(), axis, kappa, R(0.0), R(0.0), wanted, span, flexure, p)
+        some = vec(R(1.0), R(0.0), R(0.0))
+        if wp.abs(t[0]) > R(0.6):
+            some = vec(R(0.0), R(1.0), R(0.0))
+        d = wp.normalize(wp.cross(t, some))
+        e = carried(d, t, u)
+        m1 = d + e
+        m2 = wp.cross(t, d) + wp.cross(u, e)
+        kappa = vec(R(0.5) * wp.dot(kb, m2), R(-0.5) * wp.dot(kb, m1), R(0.0))
+        way = kappa / wp.sqrt(wp.dot(kb, kb) + R(BLUNT * BLUNT))
+        wanted = way * natural[0]
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(0.0), R(0.0), -way[1], way[0], wanted, span, flexure, p)
         return fa, fc
 
     @wp.func
@@ -139,8 +161,8 @@ def rod_functions(kit):
         """(slope, curvature) of a hinge's energy as the segment after it (``side`` 1) or before it (-1) rolls.
 
         The frame half way rolls by half of that: (kappa_1, kappa_2)' = (kappa_2, -kappa_1) / 2. The law's stiffness is what a unit of each
-        component changes. Of the second derivative's part from the frame's own turning the magnitude is taken: the step is downhill
-        whatever its sign.
+        component changes. For the second derivative's part from the frame's own turning, -M . kappa / 4, its bound |M| |kappa| / 4 is
+        taken: the step is downhill, and short where the torque is greatest.
         """
         kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
         tau = twist_of(t, u, d, e)
@@ -152,8 +174,9 @@ def rod_functions(kit):
         s1 = law(kappa + vec(R(1.0), R(0.0), R(0.0)), vec(), natural, span, p)[0] - m[0]
         s2 = law(kappa + vec(R(0.0), R(1.0), R(0.0)), vec(), natural, span, p)[1] - m[1]
         s3 = law(kappa + vec(R(0.0), R(0.0), R(1.0)), vec(), natural, span, p)[2] - m[2]
-        slope = m[0] * k1 + m[1] * k2 + m[2] * side
-        bend = s1 * k1 * k1 + s2 * k2 * k2 + s3 + R(0.25) * wp.abs(m[0] * kappa[0] + m[1] * kappa[1])
+        firm = wp.max(R(0.5 * LIMP) * (s1 + s2) - s3, R(0.0))
+        slope = m[0] * k1 + m[1] * k2 + (m[2] + firm * tau) * side
+        bend = s1 * k1 * k1 + s2 * k2 * k2 + s3 + firm + R(0.25) * wp.sqrt((m[0] * m[0] + m[1] * m[1]) * wp.dot(kb, kb) + R(IDLE * IDLE))
         return slope * flexure, bend * flexure
 
     @wp.func

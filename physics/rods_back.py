@@ -150,9 +150,13 @@ def make_back_rods(kit):
 
     @wp.func
     def regained(w: World, a: Adjoint, k: int, i: int, count: int):
-        """Adjoint of node ``i``'s position and velocity at the start of substep ``k`` from hinges and rolls."""
+        """Adjoint of node ``i`` at the start of substep ``k``: of x and v from hinges and the roll that follows, of x from the roll before.
+
+        The last is apart because a stretch that ends here has it alone: sums in one order are equal bit for bit.
+        """
         gx = vec()
         gv = vec()
+        hx = vec()
         if k < count:
             for j in range(w.hinge_row[i], w.hinge_row[i + 1]):
                 gx += a.bent[w.hinge_of[j] // 3, w.hinge_of[j] % 3]
@@ -161,7 +165,7 @@ def make_back_rods(kit):
                 gx += a.turned[k % 2, w.turn_of[j] // 4, w.turn_of[j] % 4 + 3]
         if k > 0:
             for j in range(w.turn_row[i], w.turn_row[i + 1]):
-                gx += a.turned[(k - 1) % 2, w.turn_of[j] // 4, w.turn_of[j] % 4 + 7]
-        return gx, gv
+                hx += a.turned[(k - 1) % 2, w.turn_of[j] // 4, w.turn_of[j] % 4 + 7]
+        return gx, gv, hx
 
     return back_bend, back_turn, regained

@@ -13,14 +13,39 @@ import twinbench.physics.batch as engine
 import twinbench.physics.terms as rooms
 from twinbench.physics import march
 from twinbench.physics.batch import Batch, Inputs
+from twinbench.physics.hinges import natural_curvature
 from twinbench.physics.system import System
-from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs, Term
-from twinbench.physics.topology import controller_springs, object_springs
+from twinbench.physics.terms import (
+    Bending,
+    BendingDamping,
+    ControllerSprings,
+    Dashpot,
+    Gravity,
+    Ground,
+    LinearDrag,
+    SelfCollision,
+    Springs,
+    Term,
+    Torsion,
+)
+from twinbench.physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 
 PARTICLES, FRAMES, SUBSTEPS = 40, 4, 25  # 100 substeps
+ROPE = 6  # particles
 NAMES = [f.name for f in fields(Inputs)]
 AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
-VALUES = dict(observer_bandwidth=3.0, dashpot_damping=5.0, gravity_x=1.0, collision_dist=0.03, controller_velocity=0.7, ground_offset=0.003, ground_normal_x=0.1)
+ROD = (*AIR, Bending, BendingDamping, Torsion)
+KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "ground and hinges": ROD, "all": (*ROD, SelfCollision)}
+HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
+VALUES = dict(
+    observer_bandwidth=3.0,
+    dashpot_damping=5.0,
+    gravity_x=1.0,
+    collision_dist=0.03,
+    controller_velocity=0.7,
+    ground_offset=0.003,
+    ground_normal_x=0.1,
+)
 
 
 def found_terms():
@@ -37,9 +62,11 @@ def kinds_with(term):
 
 
 def make(kinds, *, grip=True, count=PARTICLES, seed=0):
-    """A body thrown at the table, held by a grip and pulled by a hand: masses, rest lengths and stiffness all differ."""
+    """A body thrown at the table, held by a grip and pulled by a hand: masses, rest lengths and stiffness all differ; a rope is in it."""
     rng = np.random.default_rng(seed)
     points = rng.random((count, 3)) * 0.08
+    points[-ROPE:] = 0.005 + 0.011 * np.arange(ROPE, 0, -1)[:, None] + points[-ROPE:] * 0.05
+    points[0] = -0.006 + points[0] * 0.05
     points[:, 2] -= 0.083
     path = points[None, :2] + np.cumsum(rng.normal(size=(FRAMES, 2, 3)) * 0.003, 0)
     path[0] = points[:2]
@@ -48,6 +75,9 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
     ties[:, 0] = count + 1
     springs = np.concatenate([object_springs(points, radius=0.035, max_neighbours=10), ties])
     nodes = np.concatenate([points, path[0]])
+    # a rope through the body, held at its end, and hinges that follow no rope
+    rope = np.append(np.arange(count - ROPE, count), 0)
+    hinges = np.concatenate([rope_hinges(rope), sheet_hinges(points[: count - ROPE], springs, straight=60)])
     rest = np.linalg.norm(nodes[springs[:, 0]] - nodes[springs[:, 1]], axis=1) * rng.uniform(0.9, 1.1, len(springs))
     values = VALUES | {name: value for k in kinds if k.effect for name, value in k.effect.typical.items()}
     terms = [k({p.name: values[p.name] for p in k.parameters if p.name in values}) for k in kinds]
@@ -63,6 +93,10 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
         controllers=path,
         grips=[0, -1] if grip else None,
         seen=seen,
+        hinges=hinges,
+        natural=natural_curvature(nodes, hinges, [rope]) * rng.uniform(0.5, 1.5, (len(hinges), 1)),
+        flexure=rng.uniform(0.5, 2, len(hinges)),
+        chains=[rope],
         terms=terms,
     )
 
@@ -78,11 +112,14 @@ def leaves(batch):
 def loss(batch, inputs, *, frame=0, frames=FRAMES):
     """A weighted sum of the particles' positions at every frame and of the final state: every output counts."""
     generator = torch.Generator().manual_seed(0)
-    out, x, v = batch.march(frame, frames, inputs)
+    out, x, v, carried = batch.march(frame, frames, inputs, whole=True)
     total = 0.0
     for values, scale in ((out, 1.0), (x[None], 1.0), (v[None], 0.01)):
         for part in batch.split(values):
             total = total + scale * (part * torch.randn(part.shape, dtype=torch.float64, generator=generator)).sum()
+    if batch.hinged:
+        weight = torch.randn(carried.directors.shape, dtype=torch.float64, generator=generator)
+        total = total + 0.01 * (carried.directors * weight).sum()
     return total
 
 
@@ -90,7 +127,8 @@ def central_difference(batch, inputs, name, index, **window):
     """(L(u + h) - L(u - h)) / 2h for one number u."""
     values = {n: getattr(inputs, n).detach().clone() for n in NAMES}
     flat = values[name].view(-1)
-    h = 1e-7 * max(0.1, abs(flat[index].item()))
+    u = abs(flat[index].item())
+    h = min(1e-7 * max(0.1, u), 1e-6 * u if name == "table" and u else 1.0)  # some parameters are small
     sides = []
     with torch.no_grad():
         for sign in (1, -1):
@@ -108,7 +146,8 @@ def check(batch, inputs, name, indices, **window):
     gradient = getattr(inputs, name).grad.flatten()
     for i in indices:
         expected = central_difference(batch, inputs, name, int(i), **window)
-        scale = max(abs(expected), 1e-3 * gradient.abs().max().item(), 1e-6)
+        # the difference's own rounding: 1e-16 of a loss of order 1, by h
+        scale = max(abs(expected), 1e-3 * gradient.abs().max().item(), 1e-4 if name == "directors" else 1e-6)
         which = batch.columns[i % len(batch.columns)] if name == "table" else int(i)
         assert abs(gradient[i].item() - expected) < 1e-4 * scale, f"{name} {which}"
 
@@ -120,10 +159,15 @@ def some(gradient, count=6):
     return torch.cat([order[:count], rest[:count]]).tolist()
 
 
+every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
+
+
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "table"])
 @pytest.mark.parametrize("grip", [True, False], ids=["grip", "no grip"])
-@pytest.mark.parametrize("kinds", [AIR, (*AIR, SelfCollision)], ids=["ground", "ground and contacts"])
+@every_kind
 def test_gradient_of_every_input(kinds, grip, name):
+    if name in HINGED and Bending not in kinds:
+        pytest.skip("nothing reads it")
     batch = batch_of(kinds, grip=grip)
     inputs = leaves(batch)
     loss(batch, inputs).backward()
@@ -155,15 +199,16 @@ def test_a_window_that_starts_late_and_outlasts_the_path():
 
 
 @pytest.mark.parametrize("room", [1, 2, 3, 8, 25, 99])  # 100 = 33 * 3 + 1 = 99 + 1: also a last stretch of a single substep
-@pytest.mark.parametrize("kinds", [AIR, (*AIR, SelfCollision)], ids=["ground", "ground and contacts"])
+@every_kind
 def test_checkpointed_gradients_equal_the_whole_history_bit_for_bit(kinds, room, monkeypatch):
     # states are recomputed by the same arithmetic from the same start, so nothing may differ; only the path's gradient is summed in another
     # order, because that of a frame's end may be given in two parts
     batch = batch_of(kinds)
     whole, parts = leaves(batch), leaves(batch)
     loss(batch, whole).backward()
-    arrays = 5 if batch.colliding else 4
-    monkeypatch.setattr(engine, "HISTORY_BYTES", room * batch.node_count * 8 * 3 * arrays)
+    arrays = 6 if batch.colliding else 14 / 3
+    numbers = batch.node_count * 3 * arrays + 3 * len(batch.inputs.directors) * batch.hinged
+    monkeypatch.setattr(engine, "HISTORY_BYTES", room * int(numbers) * 8)
     assert len(batch.stretches(FRAMES, history=True)) >= 100 / room
     loss(batch, parts).backward()
     for n in NAMES:
@@ -171,17 +216,18 @@ def test_checkpointed_gradients_equal_the_whole_history_bit_for_bit(kinds, room,
         assert torch.allclose(a, b, rtol=1e-13, atol=0) if n == "path" else torch.equal(a, b), n
 
 
-@pytest.mark.parametrize("kinds", [AIR, (*AIR, SelfCollision)], ids=["ground", "ground and contacts"])
+@every_kind
 def test_frame_by_frame_equals_one_march(kinds):
     # the state carried from frame to frame is the whole memory of the engine, so positions are equal bit for bit; gradients are summed over
     # frames in another order, which rounds differently
     batch = batch_of(kinds)
     once, frames = leaves(batch), leaves(batch)
     out, x, v = batch.march(0, FRAMES, once)
-    state, found = (frames.x, frames.v), []
+    state, found, carried = (frames.x, frames.v), [], {"directors": frames.directors}
     for f in range(FRAMES):
-        own = Inputs(**{**{n: getattr(frames, n) for n in NAMES}, "x": state[0], "v": state[1]})
-        end, *state = batch.march(f, 1, own)
+        own = Inputs(**{**{n: getattr(frames, n) for n in NAMES}, "x": state[0], "v": state[1], **carried})
+        end, *state, rest = batch.march(f, 1, own, whole=True)
+        carried = vars(rest)
         found.append(end)
     found = torch.cat(found)
     assert torch.equal(out, found) and torch.equal(x, state[0]) and torch.equal(v, state[1])
@@ -238,7 +284,7 @@ def test_single_precision_gradients_follow_double():
         inputs.table.data[:, batch.column("ground_offset")] = -1.0
         loss(batch, inputs).backward()
         grads.append(inputs)
-    for n in NAMES:
+    for n in [n for n in NAMES if n not in HINGED]:
         a, b = (getattr(g, n).grad.double() for g in grads)
         assert (a - b).norm() < 1e-4 * a.norm(), n
 

@@ -173,7 +173,8 @@ def test_natural_curvature_makes_an_arc(chained):
     x = run(system.with_values(bending_stiffness=0.02, natural_share=share, drag_damping=15.0, torsion_stiffness=0.02), 6.0, 2e-4)[0][-1]
     t = unit(np.diff(x, axis=0))
     angles = np.arccos((t[:-1] * t[1:]).sum(1))
-    np.testing.assert_allclose(2 * np.tan(angles / 2), share * n, rtol=1e-6)
+    # without a chain n fades by (1e-3 / n)^2 / 2
+    np.testing.assert_allclose(2 * np.tan(angles / 2), share * n, rtol=1e-6 if chained else 1e-5)
     radius = segment / (2 * np.sin(angles[0] / 2))
     centre = x[1] + np.cross([0, 0, 1], unit(x[2] - x[0])) * radius
     np.testing.assert_allclose(np.linalg.norm(x[1:] - centre, axis=1), radius, rtol=1e-6)
@@ -348,7 +349,7 @@ def test_forces_are_minus_the_gradient_of_the_energy():
 
 
 def test_hinges_alone_push_against_their_energy():
-    # E = B (2 tan(a / 2) - s n)^2 / (2 l); the axis is forgotten below 1e-4 rad, which changes an angle a by 1e-8 / a
+    # E = B (2 tan(a / 2) - s n)^2 / (2 l); n fades below 1e-3 rad: by (1e-3 / a)^2 / 2, 1e-5 at a = 0.2
     system = crooked(chained=False).with_values(torsion_stiffness=0.0)
     force, _ = first_push(system)
 
@@ -361,18 +362,19 @@ def test_hinges_alone_push_against_their_energy():
         h = np.zeros_like(system.positions)
         h[i, k] = 1e-6
         slope = (energy(system.positions + h) - energy(system.positions - h)) / 2e-6
-        assert force[i, k] == pytest.approx(-slope, abs=1e-6 * np.abs(force).max())
+        assert force[i, k] == pytest.approx(-slope, abs=1e-5 * np.abs(force).max())
 
 
 @pytest.mark.parametrize("chained", [True, False], ids=["rope", "hinges alone"])
 def test_forces_of_a_hinge_are_in_balance(chained):
     # no net force; no net torque either, where no segment has one of its own: directors rest to 1e-3 rad (100 relaxations), so to 1e-4 N m.
-    # The moments of damping turn nobody about the rope's axis, so it is for hinges alone here
+    # The moments of damping turn nobody about the rope's axis, so damping is for hinges alone here, which near straight, below 1e-3 rad,
+    # feel turning: (1e-3 / 0.2)^2 of 0.3 N m
     system = crooked(chained=chained, velocities=np.random.default_rng(5).normal(size=(7, 3)))
     force, _ = first_push(system if chained else system.with_values(bending_damping=1e-4))
     assert np.abs(force).max() > 0.1
     np.testing.assert_allclose(force.sum(0), 0, atol=1e-10)
-    np.testing.assert_allclose(np.cross(system.positions, force).sum(0), 0, atol=1e-4 if chained else 1e-11)
+    np.testing.assert_allclose(np.cross(system.positions, force).sum(0), 0, atol=1e-4 if chained else 2e-5)
 
 
 def test_a_rotated_rope_moves_alike():
@@ -389,7 +391,7 @@ def test_a_rotated_rope_moves_alike():
 
 
 def test_a_plane_rope_bends_alike_with_and_without_directors():
-    # kappa = (|kb|, 0, 0) up to the sign of the plane's normal; hinges alone blunt angles by 1e-8 / angle of some 0.3 rad
+    # the natural curvature of hinges alone fades by (1e-3 / a)^2 / 2 at angles a of 0.1 rad and more: 1e-4 of its part in a metre's way
     points = line(9, 0.05)
     points[:, 2] = 1.5 * points[:, 0] ** 2
     own = dict(natural=np.tile([0.1, 0.0], (7, 1)), velocities=np.linspace(0, 1, 9)[:, None] * [0.1, 0, 0.5])
@@ -398,7 +400,7 @@ def test_a_plane_rope_bends_alike_with_and_without_directors():
         for c in (True, False)
     )
     x, y = (run(s, 0.3, 1e-4, 3)[0] for s in (a, b))
-    np.testing.assert_allclose(x, y, atol=1e-7)
+    np.testing.assert_allclose(x, y, atol=1e-5)
     assert np.abs(x[-1] - x[0]).max() > 0.05
 
 
@@ -422,10 +424,12 @@ def history(system, seconds, dt, frames):
 def test_energy_without_damping_is_kept_to_first_order():
     # straight by nature: a free rope has no twist and nothing that its relaxation could take out
     rng = np.random.default_rng(5)
-    system = crooked(natural=np.zeros((5, 2)), velocities=rng.normal(size=(7, 3)))
-    errors = [np.abs(np.diff(history(system, 0.3, dt, 10))).max() for dt in (2e-4, 1e-4, 5e-5)]
-    assert slope(errors) == pytest.approx(1, abs=0.3)
-    assert errors[-1] < 0.01 * history(system, 0.3, 1e-4, 1)[0]
+    points = line(7, 0.05) + rng.normal(size=(7, 3)) * 0.004
+    system = rope(points, velocities=rng.normal(size=(7, 3)), bending_stiffness=0.01, torsion_stiffness=0.007)
+    found = [history(system, 0.1, dt, 10) for dt in (5e-5, 2.5e-5, 1.25e-5)]
+    errors = [np.abs(energy - energy[0]).max() for energy in found]
+    assert slope(errors) == pytest.approx(1, abs=0.2)
+    assert errors[-1] < 0.005 * found[0][0]
 
 
 def test_bending_damping_takes_energy_out():
@@ -523,4 +527,4 @@ def test_a_sheet_resists_folding():
     # a moment 2 tan(a / 2) B / l on the next nodes: force M / l across, of which 1 / cos^2(a / 2) is the slope's of 2 tan(a / 2)
     rows = np.flatnonzero(np.isclose(points[:, 0], 0.06))
     expected = -2 * np.tan(a / 2) * 1e-3 / 0.02 / 0.02 / np.cos(a / 2) ** 2
-    np.testing.assert_allclose(force[rows] @ [-np.sin(a), 0, np.cos(a)], expected, rtol=1e-5)  # blunt below 1e-4 rad: (1e-4 / a)^2
+    np.testing.assert_allclose(force[rows] @ [-np.sin(a), 0, np.cos(a)], expected, rtol=1e-6)

@@ -21,6 +21,7 @@ from twinbench.physics.terms.base import STAGES, Term
 SAMPLES, OFFSET = 500, 2  # the term's parameters do not come first in their stage's vector
 INPUTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
+    "hinge": ("kappa", "rate", "natural", "span"),
     "body": ("x", "v", "home", "m"),
     "observer": ("x", "v", "home", "y", "u", "m"),
     "velocity": ("v", "dt"),
@@ -124,6 +125,10 @@ def kernel_of(term):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
 
+    def hinge(a: A, b: A, c: A, d: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
     def body(a: A, b: A, c: A, d: S, p: Ps, out: A):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
@@ -146,7 +151,7 @@ def kernel_of(term):
         out[i] = x
         out2[i] = v
 
-    stages = dict(axial=axial, body=body, observer=observer, velocity=velocity, contact=contact, move=move)
+    stages = dict(axial=axial, hinge=hinge, body=body, observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[term.stage], module="unique", enable_backward=False), P
 
 
@@ -170,6 +175,8 @@ def random_inputs(stage, rng):
         return [positive[0], rng.normal(size=SAMPLES), positive[1], 1e3 * positive[2]]
     if stage == "contact":
         return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
+    if stage == "hinge":
+        return [x[0], v[0], x[1] * [1.0, 1.0, 0.0], 0.1 * positive[0]]
     if stage in ("body", "observer"):
         return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
     return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]
@@ -262,11 +269,13 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    assert Laws(()).columns == ["_axial", "_body", "_observer", "_velocity", "_contact", "_move", "_links", "_setup"]
-    assert Laws(AIR).columns == ["dashpot_damping", *gravity, "_observer", "drag_damping", "_contact", *ground, "controller_velocity", "_setup"]
+    assert Laws(()).columns == ["_axial", "_hinge", "_body", "_observer", "_velocity", "_contact", "_move", "_links", "_setup"]
+    air = ["dashpot_damping", "_hinge", *gravity, "_observer", "drag_damping", "_contact", *ground, "controller_velocity", "_setup"]
+    assert Laws(AIR).columns == air
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
-    assert Laws((SelfCollision, Springs)).columns == ["_axial", "_body", "_observer", "_velocity", *contact, "_move", "_links", "_setup"]
-    assert Laws((Wind, Hardening, Gravity)).columns[:7] == ["cubic", "square", "wind_x", "wind_y", *gravity]
+    colliding = ["_axial", "_hinge", "_body", "_observer", "_velocity", *contact, "_move", "_links", "_setup"]
+    assert Laws((SelfCollision, Springs)).columns == colliding
+    assert Laws((Wind, Hardening, Gravity)).columns[:8] == ["cubic", "square", "_hinge", "wind_x", "wind_y", *gravity]
 
 
 @pytest.mark.parametrize("terms", [(), AIR, (*AIR, SelfCollision), (Wind, Hardening, Gravity, Brake), (Dashpot, Springs, Hardening)])

@@ -27,7 +27,7 @@ class BendingDamping(Term):
         name="bending_damping",
         says="its bending dies out by itself",
         amplitudes=("bending_damping",),
-        typical={"bending_damping": 1e-3},
+        typical={"bending_damping": 1e-5},
         motion="let it swing or quiver after a quick move",
     )
 
