@@ -5,12 +5,15 @@ difference of the force adjoints at the two ends: another gather, without conten
 own, because a director's adjoint reaches the positions from which it was carried along. The springs' phase of substep k and the node's own
 phase of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
 
+What a spring remembers goes from q to E(l, l', q) in a substep. Its adjoint is kept at each end, and both ends find the same: that of q is
+that of E times dE/dq, plus w . d times dT/dq.
+
 Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` before it meets it plainly; this file keeps to that order.
 """
 
 import warp as wp
 
-from .forward import node_functions, sighting
+from .forward import node_functions, recalling, sighting
 from .native import barrier
 from .paths import give_path, give_speed, speed
 from .rods_back import make_back_rods
@@ -22,17 +25,16 @@ def make_backward(kit):
     """The kernel that pulls ``a`` back through the ``w.count`` substeps recorded in ``w``, the first being ``begin`` after ``frame``."""
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
-    pa = kit.vectors["axial"]
-    load_axial, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
-    hinged = kit.hinged
+    pa, ps, remembering, hinged = kit.vectors["axial"], kit.vectors["strand"], kit.remembering, kit.hinged
+    load_axial, load_strand, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
     back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
-    get_x, get_v, sum3, sum_axial, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.give
+    get_x, get_v, sum3, sum_axial, sum_strand, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.sum_strand, kit.give
     node, end, _inertia = node_functions(kit)
     back_move = _back_move(kit)
     back_push = _back_push(kit)
     back_pull = _back_pull(kit)
     back_contacts = _back_contacts(kit, back_push) if colliding else None
-    give_axial = kit.give_all["axial"]
+    give_axial, give_strand = kit.give_all["axial"], kit.give_all["strand"]
 
     @wp.func
     def back_driven(w: World, a: Adjoint, i: int, frame: int, step: int, substeps: int, dt: R, share: R, gx: vec, gv: vec):
@@ -60,6 +62,7 @@ def make_backward(kit):
         hi = w.start[b + 1]
         width = blocks * wp.block_dim()
         p_axial = load_axial(w.table, b)
+        p_strand = load_strand(w.table, b)
         p_hinge = load_hinge(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
@@ -72,6 +75,7 @@ def make_backward(kit):
         round = int(0)
         for back in range(count + 1):
             k = count - back  # springs of substep k, then what is the node's own of substep k - 1
+            t = R(frame * substeps + begin + k) * dt
             if wp.static(colliding):
                 if k < count:
                     for i in range(lo + lane, hi, width):
@@ -100,6 +104,7 @@ def make_backward(kit):
                 gx = vec()
                 gv = vec()
                 gp = pa()
+                gs = ps()
                 if k < count and i < hi and first < last:
                     x = get_x(w.state, k * w.nodes + i)
                     v = get_v(w.state, k * w.nodes + i)
@@ -107,26 +112,33 @@ def make_backward(kit):
                     if wp.static(half):
                         for j in range(first, last):
                             o = w.other[j]
-                            dx, dv, dp = back_pull(w, a, k, i, o, w.spring[j], w.rest[j], w.stiffness[j], x, v, gf, p_axial)
+                            dx, dv, dp, ds = back_pull(w, a, k, i, j, o, w.rest[j], w.stiffness[j], x, v, gf, t, dt, p_axial, p_strand)
                             gx += dx
                             gv += dv
                             gp += dp
+                            gs += ds
                             a.x[o] = a.x[o] - dx
                             a.v[o] = a.v[o] - dv
                     else:
-                        gx, gv, gp = back_pull(w, a, k, i, o, w.spring[first], rest, stiffness, x, v, gf, p_axial)
+                        gx, gv, gp, gs = back_pull(w, a, k, i, first, o, rest, stiffness, x, v, gf, t, dt, p_axial, p_strand)
                         for j in range(first + lanes, last, lanes):
-                            dx, dv, dp = back_pull(w, a, k, i, w.other[j], w.spring[j], w.rest[j], w.stiffness[j], x, v, gf, p_axial)
+                            o = w.other[j]
+                            dx, dv, dp, ds = back_pull(w, a, k, i, j, o, w.rest[j], w.stiffness[j], x, v, gf, t, dt, p_axial, p_strand)
                             gx += dx
                             gv += dv
                             gp += dp
+                            gs += ds
                 gx = sum3(gx, lanes)
                 gv = sum3(gv, lanes)
                 gp = sum_axial(gp, lanes)
+                if wp.static(remembering):
+                    gs = sum_strand(gs, lanes)
                 if i >= hi or lane % lanes > 0:
                     continue
                 if a.wants_table > 0:
                     give_axial(a.axial, i, gp)
+                    if wp.static(remembering):
+                        give_strand(a.strand, i, gs)
                 gx += a.x[i]
                 gv += a.v[i]
                 if wp.static(hinged):
@@ -246,16 +258,43 @@ def _back_push(kit):
 
 
 def _back_pull(kit):
-    R, vec, World, Adjoint, pa = kit.R, kit.vec, kit.World, kit.Adjoint, kit.vectors["axial"]
+    R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
+    pa, ps, pq = kit.vectors["axial"], kit.vectors["strand"], kit.vectors["memory"]
     axial, get_x, get_v, give = kit.laws.axial, kit.get_x, kit.get_v, kit.give
+    remembering, strand, evolve = kit.remembering, kit.laws.strand, kit.laws.evolve
+    strand_of = recalling(kit)
 
     @wp.func
     def tension_of(length: R, rate: R, rest: R, stiffness: R, p: pa):
         return axial(length, rate, rest, stiffness, p)
 
     @wp.func
-    def back_pull(w: World, a: Adjoint, slot: int, i: int, o: int, s: int, rest: R, stiffness: R, x: vec, v: vec, gf: vec, p: pa):
-        """Adjoint of the force pair of spring ``s`` to node ``o`` with respect to node ``i``'s position and velocity, and to parameters."""
+    def strand_dot(length: R, rate: R, rest: R, stiffness: R, link: R, middle: vec, t: R, q: pq, dt: R, p: ps, g: R, gq: pq):
+        tension = strand(length, rate, rest, stiffness, link, middle, t, q, p)
+        return g * tension + wp.dot(gq, evolve(length, rate, rest, stiffness, link, middle, t, q, dt, p))
+
+    @wp.func
+    def back_pull(
+        w: World,
+        a: Adjoint,
+        slot: int,
+        i: int,
+        j: int,
+        o: int,
+        rest: R,
+        stiffness: R,
+        x: vec,
+        v: vec,
+        gf: vec,
+        t: R,
+        dt: R,
+        p: pa,
+        p_strand: ps,
+    ):
+        """Adjoint of the force pair of the spring at end ``j``, from node ``i`` to ``o``, and of what it then remembers.
+
+        Returned with respect to node ``i``'s position and velocity and to the axial and strand parameters.
+        """
         apart = get_x(w.state, slot * w.nodes + o) - x
         u = get_v(w.state, slot * w.nodes + o) - v
         length = wp.max(wp.length(apart), R(1.0e-6))
@@ -266,15 +305,35 @@ def _back_pull(kit):
         along = wp.dot(g, d)
         g_length, g_rate, g_rest, g_stiffness, g_p = wp.grad(tension_of)(length, rate, rest, stiffness, p)
         tension = axial(length, rate, rest, stiffness, p)
+        g_length = g_length * along
+        g_rate = g_rate * along
+        g_rest = g_rest * along
+        g_stiffness = g_stiffness * along
         gp = pa()
+        gs = ps()
+        if wp.static(remembering):
+            link, middle = strand_of(w, i, o)
+            q = w.memory[slot, j]
+            h_length, h_rate, h_rest, h_stiffness, _link, _middle, _t, h_q, _dt, h_p, _g, _gq = wp.grad(strand_dot)(
+                length, rate, rest, stiffness, link, middle, t, q, dt, p_strand, along, a.memory[j]
+            )
+            tension += strand(length, rate, rest, stiffness, link, middle, t, q, p_strand)
+            a.memory[j] = h_q
+            g_length += h_length
+            g_rate += h_rate
+            g_rest += h_rest
+            g_stiffness += h_stiffness
+            if o > i:
+                gs = h_p
         if o > i:
+            s = w.spring[j]
             if a.wants_rest > 0:
-                give(a.rest, s, g_rest * along)
-            give(a.stiffness, s, g_stiffness * along)
+                give(a.rest, s, g_rest)
+            give(a.stiffness, s, g_stiffness)
             gp = g_p * along
-        gv = d * (-g_rate * along)
-        gx = d * (g_length * along) + ((g - d * along) * tension + (u - d * rate) * (g_rate * along)) * inverse
-        return -gx, gv, gp
+        gv = d * -g_rate
+        gx = d * g_length + ((g - d * along) * tension + (u - d * rate) * g_rate) * inverse
+        return -gx, gv, gp, gs
 
     return back_pull
 

@@ -84,6 +84,7 @@ class Batch:
             raise ValueError(f"dt must be > 0 and finite [s], got {dt}")
         self.columns = self.laws.columns
         self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
+        self.remembering = bool(self.laws.stage("strand"))
         cuda = self.device.type == "cuda"
         self._device = "cpu" if not cuda else f"cuda:{self.device.index or 0}"
         self._assemble()
@@ -105,12 +106,15 @@ class Batch:
         path_start = np.concatenate([[0], np.cumsum([s.controllers.shape[1] for s in systems])])
         frames = max(len(s.controllers) for s in systems)
         count = int(start[-1])
-        x, v, mass = np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count)
+        x, v, mass, home = np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count), np.zeros((count, 3))
         driver, lead = np.full(count, -1), np.zeros(count)
         ends, paths, indices = [], [], []
         for k, s in enumerate(systems):
             own = slice(start[k], start[k] + sizes[k])
-            x[own], v[own], mass[own] = s.positions, s.velocities, s.masses
+            x[own], v[own], mass[own], home[own] = s.positions, s.velocities, s.masses, s.home
+            free = slice(start[k] + sizes[k], start[k + 1])
+            x[free] = s.controllers[0, hands[k]]
+            home[free] = x[free] + _displacement_nearby(s, x[free])
             index = np.full(sizes[k] + len(s.grips), -1)
             index[: sizes[k]] = np.arange(sizes[k])
             index[sizes[k] + hands[k]] = sizes[k] + np.arange(len(hands[k]))
@@ -139,7 +143,7 @@ class Batch:
         integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
         self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()}
         bent, hinged = assemble(systems, indices, x, driver, absent)
-        real = {"dt": self.dt, "home": x, "loose": bent.pop("loose"), "span": bent.pop("span")}
+        real = {"dt": self.dt, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
         self.constants |= {k: self._real(v) for k, v in real.items()} | {k: self._ints(v) for k, v in bent.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
@@ -147,6 +151,8 @@ class Batch:
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
         self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
         self.ends = self._ints(ends).long()
+        lower = np.flatnonzero((other > here)[order])  # ends at which a spring counts
+        self.lower_end, self.lower_spring = self._ints(lower).long(), self._ints(spring[order][lower]).long()
         self._watch(nodes)
         table = np.zeros((len(systems), len(self.columns)))
         for k, s in enumerate(systems):
@@ -160,6 +166,7 @@ class Batch:
             stiffness=self._real(np.concatenate([s.stiffness for s in systems])),
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
+            memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
             **{k: self._real(v) for k, v in hinged.items()},
         )
 
@@ -229,8 +236,8 @@ class Batch:
         inputs = inputs or self.inputs
         self._check(inputs)
         inputs = self.prepare(inputs)
-        out, x, v, directors = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
-        return (out, x, v, Carried(directors)) if whole else (out, x, v)
+        out, x, v, memory, directors = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+        return (out, x, v, Carried(memory, directors)) if whole else (out, x, v)
 
     def prepare(self, inputs: Inputs) -> Inputs:
         """``inputs`` as the setup terms make them: a torch function, so gradients reach the parameters that it reads."""
@@ -263,8 +270,12 @@ class Batch:
         if (self.substeps != substeps).any():
             raise ValueError("gradients need the same number of substeps in every system of the batch")
         longest = substeps if self.colliding else max(1, frames * substeps)
-        numbers = self.node_count * (18 if self.colliding else 14) + 3 * len(self.inputs.directors) * self.hinged
-        room = max(1, HISTORY_BYTES // (numbers * self.dtype.itemsize))
+        kept = self.node_count * (18 if self.colliding else 14)
+        if self.hinged:
+            kept += 3 * len(self.inputs.directors)
+        if self.remembering:
+            kept += len(self.constants["spring"]) * self.laws.memories
+        room = max(1, HISTORY_BYTES // (kept * self.dtype.itemsize))
         longest = -(-longest // -(-longest // room))
         found, begin = [], 0
         while begin < frames * substeps:
@@ -299,6 +310,14 @@ class Batch:
         cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
         with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
             list(pool.map(go, cuts[:-1], cuts[1:]))
+
+
+def _displacement_nearby(system, points):
+    """(K, 3) m from where the particle nearest to each of ``points`` starts to its home."""
+    away = system.home - system.positions
+    if not away.any() or not len(points):
+        return np.zeros_like(points)
+    return away[np.linalg.norm(points[:, None] - system.positions[None], axis=2).argmin(1)]
 
 
 def _whole(name, value, least):

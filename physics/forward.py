@@ -6,7 +6,7 @@ from .native import barrier
 from .paths import along, speed
 from .rods import make_rods
 
-__all__ = ["make_forward", "node_functions", "sighting"]
+__all__ = ["make_forward", "node_functions", "recalling", "sighting"]
 
 HELD_MASS = 1.0e30  # kg, stands for infinity
 
@@ -60,19 +60,32 @@ def sighting(kit):
     return sighted
 
 
+def recalling(kit):
+    """The function that tells of a spring between nodes ``i`` and ``o``: (1 if it ties a controller else 0, its middle in frame 0)."""
+    R, World = kit.R, kit.World
+
+    @wp.func
+    def strand_of(w: World, i: int, o: int):
+        return R(wp.max(w.lead[i], w.lead[o])), (w.home[i] + w.home[o]) * R(0.5)
+
+    return strand_of
+
+
 def make_forward(kit):
     """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first being ``begin`` after ``frame``."""
     R, vec, World = kit.R, kit.vec, kit.World
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
-    pa, pc = kit.vectors["axial"], kit.vectors["contact"]
+    pa, ps, pc = kit.vectors["axial"], kit.vectors["strand"], kit.vectors["contact"]
     axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
     watching, observer = kit.watching, kit.laws.observer
-    load_axial, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    remembering, strand, evolve = kit.remembering, kit.laws.strand, kit.laws.evolve
+    load_axial, load_strand, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
     hinged = kit.hinged
     bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
     get_x, get_v, put, sum3 = kit.get_x, kit.get_v, kit.put, kit.sum3
     node, end, inertia = node_functions(kit)
     sighted = sighting(kit)
+    strand_of = recalling(kit)
 
     @wp.func
     def follow(w: World, i: int, slot: int, frame: int, step: int, substeps: int, dt: R, share: R):
@@ -85,12 +98,21 @@ def make_forward(kit):
         put(w.state, slot * w.nodes + i, along(w.path, c, frame, step + lead, substeps), v)
 
     @wp.func
-    def pull(w: World, slot: int, o: int, rest: R, stiffness: R, x: vec, v: vec, p: pa):
-        """Force on a node at (x, v) from a spring to node ``o``."""
+    def pull(
+        w: World, slot: int, after: int, i: int, j: int, o: int, rest: R, stiffness: R, x: vec, v: vec, t: R, dt: R, p: pa, p_strand: ps
+    ):
+        """Force on node ``i`` at (x, v) from the spring at its end ``j`` to node ``o``, whose memory goes on to slot ``after``."""
         apart = get_x(w.state, slot * w.nodes + o) - x
         length = wp.max(wp.length(apart), R(1.0e-6))
         d = apart * (R(1.0) / length)
-        return d * axial(length, wp.dot(get_v(w.state, slot * w.nodes + o) - v, d), rest, stiffness, p)
+        rate = wp.dot(get_v(w.state, slot * w.nodes + o) - v, d)
+        tension = axial(length, rate, rest, stiffness, p)
+        if wp.static(remembering):
+            link, middle = strand_of(w, i, o)
+            q = w.memory[slot, j]
+            tension += strand(length, rate, rest, stiffness, link, middle, t, q, p_strand)
+            w.memory[after, j] = evolve(length, rate, rest, stiffness, link, middle, t, q, dt, p_strand)
+        return d * tension
 
     @wp.func
     def contacts(w: World, slot: int, i: int, x: vec, v: vec, p: pc):
@@ -120,6 +142,7 @@ def make_forward(kit):
         hi = w.start[b + 1]
         width = blocks * wp.block_dim()
         p_axial = load_axial(w.table, b)
+        p_strand = load_strand(w.table, b)
         p_hinge = load_hinge(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
@@ -140,6 +163,7 @@ def make_forward(kit):
             step = begin + k
             here = k % slots
             there = (k + 1) % slots
+            t = R(frame * substeps + step) * dt
             if wp.static(hinged):
                 if w.hinge_start[b + 1] > w.hinge_start[b]:
                     for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
@@ -165,13 +189,13 @@ def make_forward(kit):
                         w.force[i] = vec()
                         for j in range(first, last):
                             o = w.other[j]
-                            g = pull(w, here, o, w.rest[j], w.stiffness[j], x, v, p_axial)
+                            g = pull(w, here, there, i, j, o, w.rest[j], w.stiffness[j], x, v, t, dt, p_axial, p_strand)
                             f += g
                             w.force[o] = w.force[o] - g
-                    elif driver < 0 and first < last:
-                        f = pull(w, here, o, rest, stiffness, x, v, p_axial)
+                    elif first < last and (driver < 0 or wp.static(remembering)):  # at a driven node only for the memories
+                        f = pull(w, here, there, i, first, o, rest, stiffness, x, v, t, dt, p_axial, p_strand)
                         for j in range(first + lanes, last, lanes):
-                            f += pull(w, here, w.other[j], w.rest[j], w.stiffness[j], x, v, p_axial)
+                            f += pull(w, here, there, i, j, w.other[j], w.rest[j], w.stiffness[j], x, v, t, dt, p_axial, p_strand)
                 f = sum3(f, lanes)
                 if i >= hi or lane % lanes > 0:
                     continue

@@ -8,6 +8,7 @@ better with the same sums: it visits each spring once, from its lower end, and l
 reached (``half``).
 
 State of substep s lives in slot ``s % slots``: two slots to run, one per substep to be able to go back.
+What a spring remembers is kept at both its ends: the copies go the same way, so nothing is exchanged (``half`` uses the lower end's only).
 Nodes of one system are contiguous: particles first, then controllers. A node with ``driver >= 0`` follows that controller's path.
 """
 
@@ -81,7 +82,7 @@ def _init():
 def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
     vec = wp.types.vector(3, R)
-    vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED}
+    vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
     pair = wp.types.vector(2, R)
     vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
     get_x, get_v, put = state_access(R, vec)
@@ -97,12 +98,14 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         colliding=bool(laws.stage("contact")),
         hinged=bool(laws.stage("hinge")),
         watching=bool(laws.stage("observer")),
+        remembering=bool(laws.stage("strand")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
         get_x=get_x,
         get_v=get_v,
         put=put,
         sum3=lane_sum(vec, 3),
         sum_axial=lane_sum(vectors["axial"], laws.width("axial")),
+        sum_strand=lane_sum(vectors["strand"], laws.width("strand")),
         give=adder(R, 0),
         give_pair=adder(vectors["natural"], 2),
         give_all={s: adder(vectors[s], laws.width(s)) for s in STAGED},
@@ -124,8 +127,8 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ph, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
-    pair = vectors["natural"]
+    pa, ps, ph, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pq, pair = vectors["memory"], vectors["natural"]
 
     @wp.struct
     class World:
@@ -149,6 +152,7 @@ def _structs(R, vec, vectors):
         path: wp.array2d(dtype=vec)  # (T, controllers) m
         table: wp.array2d(dtype=R)  # (B, columns) parameters
         state: wp.array(dtype=R)  # (slots * nodes * 8,) at the start of the substep: x [m], 0, v [m/s], 0
+        memory: wp.array2d(dtype=pq)  # (slots, ends) what springs remember at the start of the substep (only with strand terms)
         nodes: int
         pushed: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after the forces; kept only to go back
         free: wp.array2d(dtype=vec)  # (slots, nodes) m/s, before contacts; kept only for contacts and to go back
@@ -196,7 +200,9 @@ def _structs(R, vec, vectors):
         rolled_flexure: wp.array(dtype=R)
         hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient by forces
         twist: wp.array(dtype=ph)  # (S,) and by rolls
+        memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
+        strand: wp.array(dtype=ps)
         body: wp.array(dtype=pb)
         observer: wp.array(dtype=po)
         velocity: wp.array(dtype=pv)

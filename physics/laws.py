@@ -43,10 +43,17 @@ class Laws:
         """The stage's first column."""
         return sum(self.width(s) for s in STAGES[: STAGES.index(stage)])
 
+    @property
+    def memories(self) -> int:
+        """Length of a spring's memory vector, at least 1 because a Warp vector cannot be empty."""
+        return max(1, len(self.stage("strand")))
+
     def fuse(self) -> SimpleNamespace:
-        """One Warp function, generic in its precision, for each stage whose laws are in the kernels; contact is None without one."""
+        """One Warp function, generic in its precision, for each stage in the kernels and for "evolve"; contact is None without its term."""
         return SimpleNamespace(
             axial=_axial(self),
+            strand=_strand(self),
+            evolve=_evolve(self),
             hinge=_hinge(self),
             body=_body(self),
             observer=_observer(self),
@@ -90,6 +97,45 @@ def _plus_hinge(before, law, offset):
         return before(kappa, rate, natural, span, p) + law(kappa, rate, natural, span, p, offset)
 
     return total
+
+
+def _strand(laws):
+    @wp.func
+    def total(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, p: Any):
+        return type(length)(0.0)
+
+    for index, (term, offset) in enumerate(laws.stage("strand")):
+        total = _plus_strand(total, term.law, index, offset)
+    return total
+
+
+def _plus_strand(before, law, index, offset):
+    @wp.func
+    def total(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, p: Any):
+        own = law(length, rate, rest, stiffness, link, middle, t, q[index], p, offset)
+        return before(length, rate, rest, stiffness, link, middle, t, q, p) + own
+
+    return total
+
+
+def _evolve(laws):
+    @wp.func
+    def after(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, dt: Any, p: Any):
+        return type(q)()
+
+    for index, (term, offset) in enumerate(laws.stage("strand")):
+        after = _plus_evolve(after, term.evolve, index, offset)
+    return after
+
+
+def _plus_evolve(before, evolve, index, offset):
+    @wp.func
+    def after(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, dt: Any, p: Any):
+        own = type(q)()
+        own[index] = evolve(length, rate, rest, stiffness, link, middle, t, q[index], dt, p, offset)
+        return before(length, rate, rest, stiffness, link, middle, t, q, dt, p) + own
+
+    return after
 
 
 def _body(laws):

@@ -20,7 +20,8 @@ __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled
 class Inputs:
     """Everything continuous that a roll-out depends on, as tensors over the whole batch; any of them may require gradients.
 
-    x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns)
+    x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns),
+    memory (springs, strand terms, at least 1): what springs remember at the start, in the order of their terms,
     natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains
     """
 
@@ -31,6 +32,7 @@ class Inputs:
     stiffness: torch.Tensor
     path: torch.Tensor
     table: torch.Tensor
+    memory: torch.Tensor
     natural: torch.Tensor
     flexure: torch.Tensor
     directors: torch.Tensor
@@ -40,9 +42,11 @@ class Inputs:
 class Carried:
     """What a march passes on besides positions and velocities; ``replace(inputs, x=x, v=v, **vars(carried))`` goes on from there.
 
+    memory     (springs, strand terms, at least 1) of the springs
     directors  (segments, 3) of the ropes
     """
 
+    memory: torch.Tensor
     directors: torch.Tensor
 
 
@@ -82,9 +86,9 @@ class Carrier:
 
 
 class World(Carrier):
-    """The state of a batch in ``slots`` slots, starting at (x, v, directors), with ``near`` the contact candidates."""
+    """The state of a batch in ``slots`` slots, starting at (x, v, memory, directors), with ``near`` the contact candidates."""
 
-    def __init__(self, batch, values, x, v, directors, near, slots, out):
+    def __init__(self, batch, values, x, v, memory, directors, near, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -94,7 +98,12 @@ class World(Carrier):
         state[0, :, 0:3], state[0, :, 4:7] = x, v
         ways = empty(slots if batch.hinged else 1, *directors.shape)
         ways[0] = directors
-        self.states, self.ways = state, ways
+        self.states, self.memory, self.ways = state, memory, ways
+        ends = batch.constants["spring"].long()
+        memories = empty(slots if batch.remembering else 0, len(ends), memory.shape[1])
+        if batch.remembering:
+            memories[0] = memory[ends]
+        self.memories = memories
         kept = slots if slots > 2 else 1
         met = slots if batch.colliding else 1
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
@@ -104,10 +113,10 @@ class World(Carrier):
             batch.kernels.World,
             dict(
                 **batch.constants,
-                **{k: values[k][batch.constants["spring"].long()] for k in ("rest", "stiffness")},
+                **{k: values[k][ends] for k in ("rest", "stiffness")},
                 **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure")},
                 **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
-                **dict(state=state.view(-1), pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
+                **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
@@ -115,29 +124,33 @@ class World(Carrier):
         self.struct.nodes = n
 
     def end(self, stretch: Stretch):
-        """(x, v, directors) at the end of a stretch."""
+        """(x, v, memory, directors) at the end of a stretch."""
         batch = self._batch
         slot = torch.as_tensor(stretch.count % self.slots, device=batch.device)
         node = torch.arange(batch.node_count, device=batch.device)
         end = self.states[slot[batch.system_of], node]
+        memory = self.memory.clone()
+        if batch.remembering:
+            memory[batch.lower_spring] = self.memories[slot[batch.spring_system[batch.lower_spring]], batch.lower_end]
         segment = torch.arange(self.ways.shape[1], device=batch.device)
         ways = self.ways[slot[batch.rope_system] % len(self.ways), segment]
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), ways
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways
 
 
 class Adjoint(Carrier):
-    """Adjoints of a batch's state and inputs: ``x``, ``v``, ``directors`` of the state at the end, ``out`` of the positions at the frames.
+    """Adjoints of a batch's state and inputs: ``x``, ``v``, ``memory``, ``directors`` at the end, ``out`` of the positions at the frames.
 
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, directors, out, wanted):
-        self.batch = batch
+    def __init__(self, batch, values, x, v, memory, directors, out, wanted):
+        self.batch, self.memory = batch, memory
         hinges, segments = len(values["flexure"]), len(directors)
 
         def zeros(*width, count=batch.node_count):
             return torch.zeros((count, *width), dtype=batch.dtype, device=batch.device)
 
+        memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         stages = {s: zeros(batch.laws.width(s), count=hinges if s == "hinge" else batch.node_count) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure")}
         rods = dict(bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2))
@@ -147,7 +160,7 @@ class Adjoint(Carrier):
             batch.kernels,
             batch.kernels.Adjoint,
             dict(
-                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), out=out, met=zeros(3)),
+                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), memory=memories, out=out, met=zeros(3)),
                 **dict(force=torch.stack([zeros(3)] * 2), links=zeros(), directors=directors.contiguous().clone()),
                 **stages,
                 **inputs,
@@ -175,14 +188,18 @@ class Adjoint(Carrier):
         ends = batch.constants["ends"].flatten().long()
         for name in ("natural", "flexure"):
             t[name].index_add_(0, ends.clamp(min=0), t[f"rolled_{name}"])  # that of no hinge is 0
-        return {"table": table, **{k: t[k] for k in ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors")}}
+        memory = self.memory.clone()
+        if batch.remembering:
+            memory[batch.lower_spring] = t["memory"][batch.lower_end]
+        plain = ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors")
+        return {"memory": memory, "table": table, **{k: t[k] for k in plain}}
 
 
 class March(torch.autograd.Function):
     @staticmethod
     def forward(ctx, batch, frame, frames, *inputs):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
-        state = tuple(values[k] for k in ("x", "v", "directors"))
+        state = tuple(values[k] for k in ("x", "v", "memory", "directors"))
         x = state[0]
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
@@ -235,16 +252,16 @@ def settled(batch, inputs: Inputs) -> torch.Tensor:
     They are what the engine's own substeps make of them while the clock all but stands.
     """
     values = {k: t.detach().contiguous() for k, t in vars(batch.prepare(inputs)).items()}
-    x, v, directors = (values[k] for k in ("x", "v", "directors"))
+    x, v, memory, directors = (values[k] for k in ("x", "v", "memory", "directors"))
     values["path"] = values["path"][:1].contiguous()
     nobody = torch.zeros(batch.node_count + 1, dtype=torch.int32, device=batch.device)
     stretch, one = Stretch(0, 0, np.full(len(batch.systems), ROUND)), torch.ones(len(batch.systems), dtype=x.dtype, device=x.device)
     moving = one > 0
     for _ in range(ROUNDS):
-        world = World(batch, values, x, torch.zeros_like(v), directors, (nobody, nobody), 2, torch.empty_like(x[None]))
+        world = World(batch, values, x, torch.zeros_like(v), memory, directors, (nobody, nobody), 2, torch.empty_like(x[None]))
         world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
         batch.forward(world, 0, stretch)
-        relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[2], directors)
+        relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[3], directors)
         change = (relaxed - directors).abs().amax(1)
         directors = relaxed
         # each by itself, so that a batch is nothing but its systems

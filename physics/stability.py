@@ -18,8 +18,10 @@ def stable_step(system: System) -> float:
     With stiffness matrix K, damping matrix C and masses m, v <- v - dt (K x + C v) / m and x <- x + dt v are stable while
     lam dt^2 + 2 mu dt < 4 for the largest eigenvalues lam of K/m and mu of C/m (characteristic polynomial
     z^2 - (2 - mu dt - lam dt^2) z + (1 - mu dt)). Gershgorin bounds both by the largest row sum over a free particle's springs, in
-    which a spring counts twice where its other end is free as well. The bound holds for stretched springs too (the law is linear and
-    the transverse stiffness of a spring in tension stays below Y / L0); strong compression and fast rotation with dashpots are not in it.
+    which a spring counts twice where its other end is free as well. A Maxwell branch a Y that relaxes by s = 1 - exp(-dt / tau) a substep
+    makes a spring 1 + a + a s / (2 - s) times as stiff at that limit (where z = -1), and s / (2 - s) = tanh(dt / (2 tau)). The bound holds
+    for stretched springs too (the law is linear and the transverse stiffness of a spring in tension stays below Y / L0); strong compression
+    and fast rotation with dashpots are not in it.
 
     A hinge with moments M_k = S_k kappa_k adds the blocks sum_k S_k g_ki g_kj' to K, where g_ki is the gradient of kappa_k at node i. Those
     of the two curvatures are perpendicular to each other, so a block's norm is below the larger S |g_i| |g_j|, and node i's row sum below
@@ -44,8 +46,16 @@ def stable_step(system: System) -> float:
         return math.inf
     lam = float((stiffness[inside] / system.masses[inside]).max())
     mu = float((damping[inside] / system.masses[inside]).max())
-    bound = mu + math.sqrt(mu * mu + 4 * lam)
-    return 4 / bound if bound > 0 else math.inf
+
+    def limit(times):
+        bound = mu + math.sqrt(mu * mu + 4 * lam * times)
+        return 4 / bound if bound > 0 else math.inf
+
+    branch = system.values.get("branch_stiffness", 0.0)
+    if not branch:
+        return limit(1.0)
+    # the branch relaxes less in the substep that it leaves than in a longer one, so this does not overestimate either
+    return limit(1 + branch * (1 + math.tanh(limit(1 + branch) / (2 * system.values["relaxation_time"]))))
 
 
 def _hinge_rows(system, free):

@@ -27,12 +27,13 @@ class System:
     controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
     grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
     terms        the physics, each name and each parameter name once
-    seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
+    home         (M, 3) m, where particles were in the frame 0 that parameters speak of, if that is another recording's; the start unless given
     hinges       (H, 3) int: nodes in a row (before, at, after), numbered like those of springs; only hinge terms read what follows
     natural      (H, 2) curvature 2 tan(angle / 2) that they want about the two axes of the rope; 0 unless given (``physics.hinges``)
     span         (H,) m, the length of body that each stands for; half of its two segments at the start unless given
     flexure      (H,) stiffness relative to the terms'; 1 unless given
     chains       arrays of nodes in order, each a rope, or a ring where the last is the first: hinges along them twist as well
+    seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
     """
 
@@ -50,6 +51,7 @@ class System:
     span: np.ndarray | None = None
     flexure: np.ndarray | None = None
     chains: tuple[np.ndarray, ...] = ()
+    home: np.ndarray | None = None
     seen: np.ndarray | None = None
     sight: np.ndarray | None = None
     name: str = ""
@@ -75,6 +77,7 @@ class System:
         count = len(self.positions)
         if not count:
             raise ValueError("positions must hold at least one particle, got shape (0, 3)")
+        own("home", count, 3, default=self.positions)
         own("velocities", count, 3, default=np.zeros((count, 3)))
         own("masses", count, default=np.ones(count))
         refuse(self.masses <= 0, lambda i: f"masses must be > 0 [kg], got {self.masses[i]} at particle {i}")

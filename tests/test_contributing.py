@@ -118,9 +118,9 @@ def test_the_snippets_run(python, copy):
 
 def test_the_tests_of_an_example_can_fail(python, copy):
     # the closed form notices another law
-    file = copy / "physics" / "terms" / "quadratic_drag.py"
+    file = copy / "physics" / "terms" / "cubic_drag.py"
     right = file.read_text()
-    file.write_text(right.replace("wp.length(v) * v", "v"))
+    file.write_text(right.replace("wp.dot(v, v) * v", "v"))
     try:
         with pytest.raises(AssertionError, match="AssertionError"):
             python("-c", SNIPPETS[0])

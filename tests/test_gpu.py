@@ -16,14 +16,33 @@ def cuda():
     return torch
 
 
-def systems(count, collide):
+def systems(count, collide, remember=False):
     from twinbench.benchmark.performance import block
     from twinbench.physics.terms import SelfCollision
+    from twinbench.physics.terms.grip_slip import GripSlip
+    from twinbench.physics.terms.plasticity import Plasticity
+    from twinbench.physics.terms.viscoelastic import Viscoelastic
 
-    made = [block(150 + 40 * k, 10, frames=4, seed=k) for k in range(count)]
+    made = [hinged(block(150 + 40 * k, 10, frames=4, seed=k)) for k in range(count)]
     if collide:
         made = [replace(s, terms=(*s.terms, SelfCollision({"collision_dist": 0.006}))) for s in made]
+    if remember:
+        flow = Plasticity({"plastic_rate": 100.0, "yield_strain": 0.001})
+        memories = (flow, Viscoelastic({"branch_stiffness": 2.0}), GripSlip({"slip_rate": 100.0, "slip_force": 1.0}))
+        made = [replace(s, terms=(*s.terms, *memories)) for s in made]
     return made
+
+
+def hinged(body):
+    """``body`` with a rope through it, and hinges that follow no rope."""
+    from twinbench.physics.terms import Bending, BendingDamping, Torsion
+    from twinbench.physics.topology import rope_hinges, sheet_hinges
+
+    chain = np.lexsort(np.round(body.positions, 3).T)[:6]
+    hinges = np.concatenate([rope_hinges(chain), sheet_hinges(body.positions, body.springs)])
+    hinges = hinges[np.sort(np.unique(np.sort(hinges, axis=1), axis=0, return_index=True)[1])]
+    laws = (Bending({"bending_stiffness": 1e-4}), BendingDamping({"bending_damping": 1e-7}), Torsion({"torsion_stiffness": 1e-4}))
+    return replace(body, hinges=hinges, chains=[chain], terms=(*body.terms, *laws))
 
 
 def march(made, device, *, double, team=None):
@@ -31,9 +50,10 @@ def march(made, device, *, double, team=None):
 
     batch = Batch(made, fps=100, substeps=40, dt=5e-5, device=device, double=double, team=team)
     inputs = Inputs(**{f.name: getattr(batch.inputs, f.name).clone().requires_grad_() for f in fields(Inputs)})
-    out, x, v = batch.march(0, 3, inputs)
+    out, x, v, carried = batch.march(0, 3, inputs, whole=True)
+    memory = carried.memory
     weight = np.random.default_rng(0).normal(size=tuple(out.shape))
-    loss = (out * out.new_tensor(weight)).sum() + (x**2).sum() + (v**2).sum()
+    loss = (out * out.new_tensor(weight)).sum() + (x**2).sum() + (v**2).sum() + memory.sum()
     loss.backward()
     return out.detach().cpu(), {f.name: getattr(inputs, f.name).grad.cpu() for f in fields(Inputs)}
 
@@ -56,11 +76,12 @@ def on_cpu(made):
     return march(made, "cpu", double=True)
 
 
+@pytest.mark.parametrize("remember", [False, True])
 @pytest.mark.parametrize("collide", [False, True])
 @pytest.mark.parametrize("team", [(1, 256, 1), (1, 128, 4), (6, 64, 8)])
-def test_cuda_agrees_with_cpu(cuda, collide, team):
+def test_cuda_agrees_with_cpu(cuda, collide, remember, team):
     # the same sums in another order: float64 rounding, grown over 120 substeps
-    made = systems(3, collide)
+    made = systems(3, collide, remember)
     there, grads_there = march(made, "cuda", double=True, team=team)
     here, grads_here = on_cpu(made)
     assert (here - there).abs().max() < 1e-11
@@ -68,9 +89,10 @@ def test_cuda_agrees_with_cpu(cuda, collide, team):
         assert (grad - grads_there[name]).abs().max() <= 1e-8 * grad.abs().max().clamp(min=1e-12), name
 
 
+@pytest.mark.parametrize("remember", [False, True])
 @pytest.mark.parametrize("collide", [False, True])
-def test_cuda_repeats_to_the_last_bit(cuda, collide):
-    made = systems(3, collide)
+def test_cuda_repeats_to_the_last_bit(cuda, collide, remember):
+    made = systems(3, collide, remember)
     first, grads_first = march(made, "cuda", double=False)
     again, grads_again = march(made, "cuda", double=False)
     assert (first == again).all()

@@ -9,11 +9,14 @@ from twinbench.physics.batch import FAR, Batch, Inputs, first_bad
 from twinbench.physics.stability import stable_step
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
+from twinbench.physics.terms.grip_slip import GripSlip
+from twinbench.physics.terms.plasticity import Plasticity
+from twinbench.physics.terms.viscoelastic import Viscoelastic
 from twinbench.physics.topology import controller_springs, object_springs
 
 FPS, SUBSTEPS = 30, 40
 AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
-KINDS = {"air": AIR, "contacts": (*AIR, SelfCollision)}
+KINDS = {"air": AIR, "contacts": (*AIR, SelfCollision), "memories": (*AIR, Plasticity, SelfCollision, Viscoelastic, GripSlip)}
 every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
 both_precisions = pytest.mark.parametrize("double", [False, True], ids=["float32", "float64"])
 
@@ -43,6 +46,7 @@ def make(kinds, seed, *, count=None, frames=None, grip=True):
         terms=terms,
     )
     ranges = dict(dashpot_damping=(1, 5), gravity_x=(-5, 5), drag_damping=(0, 5), collide_elas=(0, 1), controller_velocity=(0, 1))
+    ranges |= dict(plastic_rate=(5, 50), yield_strain=(0.01, 0.03), branch_stiffness=(0.5, 2), slip_rate=(5, 50), slip_force=(0.5, 2))
     values = {name: rng.uniform(*limits) for name, limits in ranges.items() if name in system.values}
     return system.with_values(**values, **({"collision_dist": rng.uniform(0.01, 0.03)} if SelfCollision in kinds else {}))
 
@@ -119,7 +123,7 @@ def test_bare_systems_beside_others():
     # no springs, no controllers, a single particle: nothing to gather, nothing to follow
     full = make(AIR, 0)
     bare = replace(full, springs=np.zeros((0, 2)), stiffness=[], rest=[], controllers=np.zeros((1, 0, 3)), grips=None)
-    one = replace(bare, positions=[[0.0, 0, -1]], velocities=None, masses=None)
+    one = replace(bare, positions=[[0.0, 0, -1]], velocities=None, masses=None, home=None)
     systems = [bare, full, one]
     assert equal(roll(systems)[0], [roll([s])[0][0] for s in systems])
 

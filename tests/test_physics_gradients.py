@@ -28,6 +28,9 @@ from twinbench.physics.terms import (
     Term,
     Torsion,
 )
+from twinbench.physics.terms.grip_slip import GripSlip
+from twinbench.physics.terms.plasticity import Plasticity
+from twinbench.physics.terms.viscoelastic import Viscoelastic
 from twinbench.physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 
 PARTICLES, FRAMES, SUBSTEPS = 40, 4, 25  # 100 substeps
@@ -35,7 +38,10 @@ ROPE = 6  # particles
 NAMES = [f.name for f in fields(Inputs)]
 AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
 ROD = (*AIR, Bending, BendingDamping, Torsion)
-KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "ground and hinges": ROD, "all": (*ROD, SelfCollision)}
+MEMORIES = (*AIR, Plasticity, SelfCollision, Viscoelastic, GripSlip)
+KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "memories too": MEMORIES}
+KINDS |= {"ground and hinges": ROD, "all": (*MEMORIES, Bending, BendingDamping, Torsion)}
+every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
 HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
 VALUES = dict(
     observer_bandwidth=3.0,
@@ -101,7 +107,8 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
     )
 
 
-def batch_of(kinds, *, grip=True, double=True, seeds=(0, 1)):
+def batch_of(kinds, *, grip=True, double=True, seeds=(8, 12)):
+    # with other seeds a contact begins or a spring yields within h of the start: a jump, no derivative
     return Batch([make(kinds, grip=grip, seed=s) for s in seeds], fps=30, substeps=SUBSTEPS, double=double, workers=1)
 
 
@@ -129,6 +136,7 @@ def central_difference(batch, inputs, name, index, **window):
     flat = values[name].view(-1)
     u = abs(flat[index].item())
     h = min(1e-7 * max(0.1, u), 1e-6 * u if name == "table" and u else 1.0)  # some parameters are small
+    h = {"directors": 1e-6, "memory": 1e-7}.get(name, h)  # which matter little: rounding counts
     sides = []
     with torch.no_grad():
         for sign in (1, -1):
@@ -146,8 +154,7 @@ def check(batch, inputs, name, indices, **window):
     gradient = getattr(inputs, name).grad.flatten()
     for i in indices:
         expected = central_difference(batch, inputs, name, int(i), **window)
-        # the difference's own rounding: 1e-16 of a loss of order 1, by h
-        scale = max(abs(expected), 1e-3 * gradient.abs().max().item(), 1e-4 if name == "directors" else 1e-6)
+        scale = max(abs(expected), 1e-3 * gradient.abs().max().item(), 1e-6)
         which = batch.columns[i % len(batch.columns)] if name == "table" else int(i)
         assert abs(gradient[i].item() - expected) < 1e-4 * scale, f"{name} {which}"
 
@@ -157,9 +164,6 @@ def some(gradient, count=6):
     order = torch.argsort(-gradient.abs().flatten())
     rest = order[count:][torch.randperm(max(0, len(order) - count), generator=torch.Generator().manual_seed(1))]
     return torch.cat([order[:count], rest[:count]]).tolist()
-
-
-every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "table"])
@@ -172,13 +176,13 @@ def test_gradient_of_every_input(kinds, grip, name):
     inputs = leaves(batch)
     loss(batch, inputs).backward()
     gradient = getattr(inputs, name).grad
-    assert gradient.abs().max() > 0
+    assert (gradient.abs().max() > 0) == (name != "memory" or batch.remembering)
     check(batch, inputs, name, some(gradient))
 
 
 @pytest.mark.parametrize("term", found_terms(), ids=lambda t: t.name)
 def test_gradient_of_every_parameter_of_every_term(term):
-    batch = batch_of(kinds_with(term))
+    batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
     inputs = leaves(batch)
     loss(batch, inputs).backward()
     columns = [batch.column(p.name) for p in term.parameters]
@@ -190,7 +194,7 @@ def test_gradient_of_every_parameter_of_every_term(term):
 
 def test_a_window_that_starts_late_and_outlasts_the_path():
     # from frame 2 on, two frames beyond the last of the path, which holds its end
-    batch = batch_of((*AIR, SelfCollision), seeds=(2, 3))  # with (0, 1) a contact begins within h of the start: a jump, no derivative
+    batch = batch_of((*AIR, SelfCollision))
     inputs, window = leaves(batch), dict(frame=2, frames=4)
     loss(batch, inputs, **window).backward()
     assert (inputs.path.grad[:2] == 0).all() and inputs.path.grad[-1].abs().max() > 0
@@ -206,9 +210,12 @@ def test_checkpointed_gradients_equal_the_whole_history_bit_for_bit(kinds, room,
     batch = batch_of(kinds)
     whole, parts = leaves(batch), leaves(batch)
     loss(batch, whole).backward()
-    arrays = 6 if batch.colliding else 14 / 3
-    numbers = batch.node_count * 3 * arrays + 3 * len(batch.inputs.directors) * batch.hinged
-    monkeypatch.setattr(engine, "HISTORY_BYTES", room * int(numbers) * 8)
+    numbers = batch.node_count * (18 if batch.colliding else 14)
+    if batch.hinged:
+        numbers += 3 * len(batch.inputs.directors)
+    if batch.remembering:
+        numbers += 2 * batch.inputs.memory.numel()  # at both ends of a spring
+    monkeypatch.setattr(engine, "HISTORY_BYTES", room * numbers * 8)
     assert len(batch.stretches(FRAMES, history=True)) >= 100 / room
     loss(batch, parts).backward()
     for n in NAMES:
@@ -218,12 +225,12 @@ def test_checkpointed_gradients_equal_the_whole_history_bit_for_bit(kinds, room,
 
 @every_kind
 def test_frame_by_frame_equals_one_march(kinds):
-    # the state carried from frame to frame is the whole memory of the engine, so positions are equal bit for bit; gradients are summed over
-    # frames in another order, which rounds differently
+    # the state carried from frame to frame, with what springs remember, is the whole memory of the engine, so positions are equal bit for
+    # bit; gradients are summed over frames in another order, which rounds differently
     batch = batch_of(kinds)
     once, frames = leaves(batch), leaves(batch)
-    out, x, v = batch.march(0, FRAMES, once)
-    state, found, carried = (frames.x, frames.v), [], {"directors": frames.directors}
+    out, x, v, last = batch.march(0, FRAMES, once, whole=True)
+    state, found, carried = (frames.x, frames.v), [], {n: getattr(frames, n) for n in vars(last)}
     for f in range(FRAMES):
         own = Inputs(**{**{n: getattr(frames, n) for n in NAMES}, "x": state[0], "v": state[1], **carried})
         end, *state, rest = batch.march(f, 1, own, whole=True)
@@ -231,6 +238,7 @@ def test_frame_by_frame_equals_one_march(kinds):
         found.append(end)
     found = torch.cat(found)
     assert torch.equal(out, found) and torch.equal(x, state[0]) and torch.equal(v, state[1])
+    assert all(torch.equal(t, carried[n]) for n, t in vars(last).items())
     weight = torch.randn(out.shape, dtype=out.dtype, generator=torch.Generator().manual_seed(2))
     (out * weight).sum().backward()
     (found * weight).sum().backward()
@@ -261,7 +269,7 @@ def test_only_what_is_asked_for_gets_a_gradient():
 
 def test_systems_of_a_batch_do_not_mix():
     # d(loss of system 0) / d(inputs of system 1) is exactly 0, and system 0's gradients are those it has alone, bit for bit
-    both, alone = batch_of((*AIR, SelfCollision)), batch_of((*AIR, SelfCollision), seeds=(0,))
+    both, alone = batch_of((*AIR, SelfCollision)), batch_of((*AIR, SelfCollision), seeds=(8,))
     grads = []
     for batch in (both, alone):
         inputs = leaves(batch)
@@ -286,7 +294,7 @@ def test_single_precision_gradients_follow_double():
         grads.append(inputs)
     for n in [n for n in NAMES if n not in HINGED]:
         a, b = (getattr(g, n).grad.double() for g in grads)
-        assert (a - b).norm() < 1e-4 * a.norm(), n
+        assert (a - b).norm() <= 1e-4 * a.norm(), n
 
 
 def test_gradcheck_of_torch():

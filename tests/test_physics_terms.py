@@ -21,6 +21,7 @@ from twinbench.physics.terms.base import STAGES, Term
 SAMPLES, OFFSET = 500, 2  # the term's parameters do not come first in their stage's vector
 INPUTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
+    "strand": ("length", "rate", "rest", "stiffness", "link", "middle", "t", "q"),
     "hinge": ("kappa", "rate", "natural", "span"),
     "body": ("x", "v", "home", "m"),
     "observer": ("x", "v", "home", "y", "u", "m"),
@@ -39,6 +40,7 @@ def found_terms():
 
 every_term = pytest.mark.parametrize("term", found_terms(), ids=lambda t: t.__name__)
 every_law = pytest.mark.parametrize("term", [t for t in found_terms() if t.stage in INPUTS], ids=lambda t: t.__name__)
+every_memory = pytest.mark.parametrize("term", [t for t in found_terms() if t.stage == "strand"], ids=lambda t: t.__name__)
 
 
 # ---------------------------------------------------------------- what a term declares
@@ -54,6 +56,7 @@ def test_a_term_says_what_it_is(term):
     assert re.fullmatch("[a-z][a-z_]*", term.name)
     assert term.__doc__ and term.__doc__ != Term.__doc__ and not term.__doc__.startswith(f"{term.__name__}(")  # the dataclass's own
     assert (term.law is not None) == (term.stage in INPUTS)
+    assert (term.evolve is not None) == hasattr(term, "twin_evolve") == (term.stage == "strand")
     assert hasattr(term, "prepare") == (term.stage == "setup")
     for p in term.parameters:
         assert p.unit and p.meaning and p.low < p.high
@@ -61,10 +64,10 @@ def test_a_term_says_what_it_is(term):
 
 
 def test_names_of_terms_and_parameters_are_unique():
-    # they are columns of one table, and any two terms may be combined
+    # they are columns of one table, and any two terms may be combined: only stages that take one term have rivals, which may share names
     terms = [t.name for t in found_terms()]
-    parameters = [p.name for t in found_terms() for p in t.parameters]
-    assert len(set(terms)) == len(terms) and len(set(parameters)) == len(parameters)
+    parameters = {(p.name, t.stage if t.stage in ("move", "contact") else t.name) for t in found_terms() for p in t.parameters}
+    assert len(set(terms)) == len(terms) and len({name for name, _ in parameters}) == len(parameters)
 
 
 @every_law
@@ -72,6 +75,9 @@ def test_law_and_twin_take_the_same_arguments(term):
     law = list(inspect.signature(term.law.func).parameters)
     assert law == [*INPUTS[term.stage], "p", "o"]
     assert list(inspect.signature(term.twin).parameters) == [*INPUTS[term.stage], *(p.name for p in term.parameters)]
+    if term.stage == "strand":
+        assert list(inspect.signature(term.evolve.func).parameters) == [*INPUTS["strand"], "dt", "p", "o"]
+        assert list(inspect.signature(term.twin_evolve).parameters) == [*INPUTS["strand"], "dt", *(p.name for p in term.parameters)]
 
 
 @every_term
@@ -116,9 +122,10 @@ def test_parameters_are_checked(text, change):
 
 
 @cache
-def kernel_of(term):
-    """A kernel that evaluates the term's law in float64, sample by sample."""
+def kernel_of(term, stage):
+    """A kernel that evaluates the term's law at ``stage``, or its "evolve", in float64, sample by sample."""
     R, V, P, law = wp.float64, wp.vec3d, wp.types.vector(OFFSET + max(1, len(term.parameters)), wp.float64), term.law
+    after = term.evolve
     S, A, Ps = wp.array(dtype=R), wp.array(dtype=V), wp.array(dtype=P)
 
     def axial(a: S, b: S, c: S, d: S, p: Ps, out: S):
@@ -128,6 +135,14 @@ def kernel_of(term):
     def hinge(a: A, b: A, c: A, d: S, p: Ps, out: A):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
+    def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], p[i], wp.static(OFFSET))
+
+    def evolve(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, k: S, p: Ps, out: S):
+        i = wp.tid()
+        out[i] = after(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], k[i], p[i], wp.static(OFFSET))
 
     def body(a: A, b: A, c: A, d: S, p: Ps, out: A):
         i = wp.tid()
@@ -151,19 +166,21 @@ def kernel_of(term):
         out[i] = x
         out2[i] = v
 
-    stages = dict(axial=axial, hinge=hinge, body=body, observer=observer, velocity=velocity, contact=contact, move=move)
-    return wp.kernel(stages[term.stage], module="unique", enable_backward=False), P
+    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, body=body)
+    stages |= dict(observer=observer, velocity=velocity, contact=contact, move=move)
+    return wp.kernel(stages[stage], module="unique", enable_backward=False), P
 
 
-def evaluate(term, inputs, parameters):
-    """The law's outputs, one array each."""
-    kernel, P = kernel_of(term)
+def evaluate(term, stage, inputs, parameters):
+    """The outputs of the law at ``stage``, one array each."""
+    kernel, P = kernel_of(term, stage)
     padded = np.full((SAMPLES, P._length_), np.nan)  # a law that reads another term's parameters gives NaN
     padded[:, OFFSET : OFFSET + parameters.shape[1]] = parameters
     arrays = [wp.array(a, dtype=wp.float64 if a.ndim == 1 else wp.vec3d, device="cpu") for a in inputs]
-    shape = (SAMPLES,) if term.stage == "axial" else (SAMPLES, 3)
-    dtype = wp.float64 if term.stage == "axial" else wp.vec3d
-    out = [wp.zeros(SAMPLES, dtype=dtype, device="cpu") for _ in range(2 if term.stage == "move" else 1)]
+    scalar = stage in ("axial", "strand", "evolve")
+    shape = (SAMPLES,) if scalar else (SAMPLES, 3)
+    dtype = wp.float64 if scalar else wp.vec3d
+    out = [wp.zeros(SAMPLES, dtype=dtype, device="cpu") for _ in range(2 if stage == "move" else 1)]
     wp.launch(kernel, dim=SAMPLES, inputs=[*arrays, wp.array(padded, dtype=P, device="cpu")], outputs=out, device="cpu")
     return [o.numpy().reshape(shape) for o in out]
 
@@ -171,8 +188,9 @@ def evaluate(term, inputs, parameters):
 def random_inputs(stage, rng):
     """Samples of the arguments in the order of ``INPUTS``: moving particles, about as far apart as terms reach."""
     positive, x, v = rng.uniform(0.1, 2, (4, SAMPLES)), rng.normal(size=(2, SAMPLES, 3)), rng.normal(size=(2, SAMPLES, 3))
-    if stage == "axial":
-        return [positive[0], rng.normal(size=SAMPLES), positive[1], 1e3 * positive[2]]
+    if stage in ("axial", "strand"):
+        spring = [positive[0], rng.normal(size=SAMPLES), positive[1], 1e3 * positive[2]]
+        return [*spring, rng.integers(0, 2, SAMPLES) * 1.0, x[0], positive[3], v[0, :, 0]] if stage == "strand" else spring
     if stage == "contact":
         return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
     if stage == "hinge":
@@ -188,7 +206,7 @@ def test_law_equals_its_twin(term):
     inputs = random_inputs(term.stage, rng)
     low, high = np.array([(p.low, p.high) for p in term.parameters]).reshape(-1, 2).T
     parameters = rng.uniform(low, high, (SAMPLES, len(low)))
-    found = evaluate(term, inputs, parameters)
+    found = evaluate(term, term.stage, inputs, parameters)
     twins = [term.twin(*(a[i] for a in inputs), *parameters[i]) for i in range(SAMPLES)]
     expected = [np.array(part) for part in zip(*twins, strict=True)] if term.stage == "move" else [np.array(twins)]
     for a, b in zip(found, expected, strict=True):
@@ -198,6 +216,19 @@ def test_law_equals_its_twin(term):
         usual = inputs[1] if term.stage == "move" else 0.0
         share = (np.abs(found[-1] - usual) > 1e-9).any(1).mean()
         assert 0.1 < share < 0.9
+
+
+@every_memory
+def test_a_memory_equals_its_twin(term):
+    # substeps from a microsecond to a second; the exponential of the one is a hyperbolic tangent in the other
+    rng = np.random.default_rng(0)
+    inputs = [*random_inputs("strand", rng), 10.0 ** rng.uniform(-6, 0, SAMPLES)]
+    low, high = np.array([(p.low, p.high) for p in term.parameters]).T
+    parameters = rng.uniform(low, high, (SAMPLES, len(low)))
+    (found,) = evaluate(term, "evolve", inputs, parameters)
+    expected = [term.twin_evolve(*(a[i] for a in inputs), *parameters[i]) for i in range(SAMPLES)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)  # a dozen operations of numbers up to 20
+    assert (np.abs(found - inputs[7]) > 1e-9).mean() > 0.03  # enough of them remember something new
 
 
 # ---------------------------------------------------------------- a list of terms
@@ -262,6 +293,62 @@ class Brake(Term):
         return v / (1 + brake * dt * np.linalg.norm(v))
 
 
+@wp.func
+def stir(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, p: Any, o: int):
+    return p[o] * q * (type(t)(1.0) + t) + p[o + 1] * link * middle[0]
+
+
+@wp.func
+def stirred(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, dt: Any, p: Any, o: int):
+    return q + dt * (length - rest + p[o] * rate + middle[1] * stiffness * t - q)
+
+
+@wp.func
+def count(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, p: Any, o: int):
+    return p[o] * q
+
+
+@wp.func
+def counted(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, dt: Any, p: Any, o: int):
+    return q + dt * (type(link)(1.0) + link)
+
+
+class Stir(Term):
+    """A memory that reads everything it is given."""
+
+    name = "stir"
+    stage = "strand"
+    parameters = (Parameter("stir", 3.0, 0.0, 5.0, "N/m", "of the memory"), Parameter("stir_link", 2.0, 0.0, 5.0, "N/m", "of links"))
+    law = stir
+    evolve = stirred
+
+    @staticmethod
+    def twin(length, rate, rest, stiffness, link, middle, t, q, stir, stir_link):
+        return stir * q * (1 + t) + stir_link * link * middle[0]
+
+    @staticmethod
+    def twin_evolve(length, rate, rest, stiffness, link, middle, t, q, dt, stir, stir_link):
+        return q + dt * (length - rest + stir * rate + middle[1] * stiffness * t - q)
+
+
+class Count(Term):
+    """A memory that counts seconds, links' twice."""
+
+    name = "count"
+    stage = "strand"
+    parameters = (Parameter("count", 1.0, 0.0, 5.0, "N/s", "of the seconds counted"),)
+    law = count
+    evolve = counted
+
+    @staticmethod
+    def twin(length, rate, rest, stiffness, link, middle, t, q, count):
+        return count * q
+
+    @staticmethod
+    def twin_evolve(length, rate, rest, stiffness, link, middle, t, q, dt, count):
+        return q + dt * (1 + link)
+
+
 AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
 
 
@@ -269,16 +356,31 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    assert Laws(()).columns == ["_axial", "_hinge", "_body", "_observer", "_velocity", "_contact", "_move", "_links", "_setup"]
-    air = ["dashpot_damping", "_hinge", *gravity, "_observer", "drag_damping", "_contact", *ground, "controller_velocity", "_setup"]
+    first = ["_axial", "_strand", "_hinge", "_body", "_observer", "_velocity"]
+    assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
+    air = [
+        "dashpot_damping",
+        "_strand",
+        "_hinge",
+        *gravity,
+        "_observer",
+        "drag_damping",
+        "_contact",
+        *ground,
+        "controller_velocity",
+        "_setup",
+    ]
     assert Laws(AIR).columns == air
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
-    colliding = ["_axial", "_hinge", "_body", "_observer", "_velocity", *contact, "_move", "_links", "_setup"]
-    assert Laws((SelfCollision, Springs)).columns == colliding
-    assert Laws((Wind, Hardening, Gravity)).columns[:8] == ["cubic", "square", "_hinge", "wind_x", "wind_y", *gravity]
+    assert Laws((SelfCollision, Springs)).columns == [*first, *contact, "_move", "_links", "_setup"]
+    assert Laws((Wind, Hardening, Gravity)).columns[:9] == ["cubic", "square", "_strand", "_hinge", "wind_x", "wind_y", *gravity]
+    assert Laws((Count, Wind, Stir)).columns[:7] == ["_axial", "count", "stir", "stir_link", "_hinge", "wind_x", "wind_y"]
 
 
-@pytest.mark.parametrize("terms", [(), AIR, (*AIR, SelfCollision), (Wind, Hardening, Gravity, Brake), (Dashpot, Springs, Hardening)])
+NEW = [(Wind, Hardening, Gravity, Brake), (Count, Springs, Stir), (Dashpot, Springs, Hardening)]
+
+
+@pytest.mark.parametrize("terms", [(), AIR, (*AIR, SelfCollision), *NEW])
 def test_columns_are_where_start_and_offset_say(terms):
     laws = Laws(terms)
     assert len(laws.columns) == sum(laws.width(s) for s in STAGES)
@@ -289,23 +391,28 @@ def test_columns_are_where_start_and_offset_say(terms):
             assert laws.columns[first : first + len(term.parameters)] == [p.name for p in term.parameters]
 
 
-def numpy_step(system, x, v, dt):
-    """One substep by the terms' twins: forces, velocity, move; still controllers."""
+def numpy_step(system, x, v, dt, t, memory):
+    """One substep at ``t`` by the terms' twins: forces, velocity, move; still controllers. ``memory`` (springs, terms) goes on in place."""
     nodes, speeds = np.concatenate([x, system.controllers[0]]), np.concatenate([v, 0 * system.controllers[0]])
     laws = {stage: [t for t in system.terms if t.stage == stage] for stage in STAGES}
-    force = np.zeros_like(nodes)
-    for (a, b), rest, stiffness in zip(system.springs, system.rest, system.stiffness, strict=True):
+    force, home = np.zeros_like(nodes), np.concatenate([system.positions, system.controllers[0]])
+    for q, (a, b), rest, stiffness in zip(memory, system.springs, system.rest, system.stiffness, strict=True):
         length = np.linalg.norm(nodes[b] - nodes[a])
         d = (nodes[b] - nodes[a]) / length
-        tension = sum(t.twin(length, (speeds[b] - speeds[a]) @ d, rest, stiffness, **t.values) for t in laws["axial"])
+        spring = (length, (speeds[b] - speeds[a]) @ d, rest, stiffness)
+        strand = (*spring, float(max(a, b) >= len(x)), (home[a] + home[b]) / 2, t)
+        tension = sum(term.twin(*spring, **term.values) for term in laws["axial"])
+        tension += sum(term.twin(*strand, q[n], **term.values) for n, term in enumerate(laws["strand"]))
+        for n, term in enumerate(laws["strand"]):
+            q[n] = term.twin_evolve(*strand, q[n], dt, **term.values)
         force[a] += tension * d
         force[b] -= tension * d
     x2, v2 = np.empty_like(x), np.empty_like(v)
     for i, m in enumerate(system.masses):
-        total = force[i] + sum(t.twin(x[i], v[i], system.positions[i], m, **t.values) for t in laws["body"])
+        total = force[i] + sum(term.twin(x[i], v[i], system.positions[i], m, **term.values) for term in laws["body"])
         new = v[i] + dt * total / m
-        for t in laws["velocity"]:
-            new = t.twin(new, dt, **t.values)
+        for term in laws["velocity"]:
+            new = term.twin(new, dt, **term.values)
         x2[i], v2[i] = laws["move"][0].twin(x[i], new, dt, **laws["move"][0].values) if laws["move"] else (x[i] + dt * new, new)
     return x2, v2
 
@@ -332,6 +439,7 @@ LISTS = {
     "published": AIR,
     # several terms a stage, in another order than stages, parameters at several offsets
     "new terms": (Wind, Brake, Dashpot, ControllerSprings, Hardening, Springs, Gravity, LinearDrag),
+    "memories": (Count, Springs, Dashpot, Stir, ControllerSprings, Gravity),
 }
 
 
@@ -345,13 +453,16 @@ def test_fused_laws_are_the_twins_in_order(name):
         systems.append(thrown([t.with_values(dashpot_damping=3.0) if t.name == "dashpot" else t for t in terms], seed))
     dt, count = 5e-3, 40
     batch = Batch(systems, fps=1 / dt, substeps=1, dt=dt, double=True, workers=1)
-    _, x, v = batch.march(0, count)
-    for system, x_found, v_found in zip(systems, batch.split(x), batch.split(v), strict=True):
-        x, v = system.positions, system.velocities
-        for _ in range(count):
-            x, v = numpy_step(system, x, v, dt)
+    _, x, v, carried = batch.march(0, count, whole=True)
+    memory = carried.memory
+    memories = memory.split([len(s.springs) for s in systems])
+    for system, x_found, v_found, memory_found in zip(systems, batch.split(x), batch.split(v), memories, strict=True):
+        x, v, memory = system.positions, system.velocities, np.zeros(memory_found.shape)
+        for k in range(count):
+            x, v = numpy_step(system, x, v, dt, k * dt, memory)
         assert np.abs(x - system.positions).max() > 0.1
         if name == "published":
             assert x[:, 2].max() < 1e-3 < (system.positions + system.velocities * dt * count)[:, 2].max()  # the table was in the way
         np.testing.assert_allclose(x_found.numpy(), x, rtol=0, atol=1e-11)  # 40 steps of numbers of order 1, some bounces among them
         np.testing.assert_allclose(v_found.numpy(), v, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(memory_found.numpy(), memory, rtol=0, atol=1e-10)

@@ -10,7 +10,7 @@ import numpy as np
 from .interactions import Interaction
 from .objects import Plush
 
-__all__ = ["GRAVITY", "Motion", "simulate", "to_world"]
+__all__ = ["GRAVITY", "HAND_MASS", "Motion", "imported", "numbers", "simulate", "spin", "to_world", "warnings"]
 
 GRAVITY = 9.8
 SKIN = 1e-3  # the contact radius of a vertex [m]
@@ -38,7 +38,7 @@ def simulate(body: Plush, interaction: Interaction, *, frames: int, fps: float =
     The body settles ungripped first; then the grip closes on it as it lies, without force. Raises ValueError where nothing is within the
     grip, RuntimeError with MuJoCo's reason where its solution cannot be trusted.
     """
-    mujoco = _mujoco()
+    mujoco = imported()
     dt = 1 / (fps * substeps)
     rest = body.vertices
     gripped = np.zeros(0, int)
@@ -49,7 +49,7 @@ def simulate(body: Plush, interaction: Interaction, *, frames: int, fps: float =
     start = interaction.place(rest) + np.array([0, 0, SKIN])
     model = mujoco.MjModel.from_xml_string(_mjcf(body, start, gripped, dt))
     data = mujoco.MjData(model)
-    with _warnings(mujoco) as said:
+    with warnings(mujoco) as said:
         data.eq_active[:] = 0
         for _ in range(round(interaction.settle / dt)):
             mujoco.mj_step(model, data)
@@ -76,10 +76,10 @@ def _follow(mujoco, model, data, path, turns, substeps):
     A hand that carries its true velocity, unlike a teleported one, leaves no lag between grip and body.
     """
     dt = model.opt.timestep
-    velocity, spin = np.diff(path, axis=0) / dt, _spin(turns) / dt
+    velocity, turning = np.diff(path, axis=0) / dt, spin(turns) / dt
     vertices = [data.flexvert_xpos.copy()]
     for step in range(len(path) - 2):
-        data.qpos[:3], data.qvel[:3], data.qvel[3:6] = path[step], velocity[step], spin[step]
+        data.qpos[:3], data.qvel[:3], data.qvel[3:6] = path[step], velocity[step], turning[step]
         mujoco.mju_mat2Quat(data.qpos[3:7], turns[step].ravel())
         mujoco.mj_step(model, data)
         if (step + 1) % substeps == 0:
@@ -102,7 +102,7 @@ def _mjcf(body, points, gripped, dt):
       <inertial pos="0 0 0" mass="{HAND_MASS}" diaginertia="{HAND_MASS} {HAND_MASS} {HAND_MASS}"/>
     </body>
     <flexcomp name="body" type="direct" dim="3" mass="{body.mass:.12g}" radius="{SKIN}"
-      point="{_numbers(points)}" element="{_numbers(body.tetrahedra)}">
+      point="{numbers(points)}" element="{numbers(body.tetrahedra)}">
       <contact selfcollide="none" friction="{body.friction}" {stiff}/>
       <elasticity young="{body.young}" poisson="{body.poisson}" damping="{body.damping}"/>
     </flexcomp>
@@ -111,11 +111,11 @@ def _mjcf(body, points, gripped, dt):
 </mujoco>"""
 
 
-def _numbers(array):
+def numbers(array):
     return " ".join(f"{x:.12g}" for x in np.ravel(array))
 
 
-def _spin(turns):
+def spin(turns):
     """Rotation vectors (S-1, 3) from each of ``turns`` (S, 3, 3) to the next, in the hand's own axes (MuJoCo's free joint)."""
     from scipy.spatial.transform import Rotation
 
@@ -129,7 +129,7 @@ def _refresh(mujoco, model, data):
 
 
 @contextmanager
-def _warnings(mujoco):
+def warnings(mujoco):
     """Collect MuJoCo's warnings, which it would else print and append to a file in the working folder."""
     said, before = [], mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(said.append)
@@ -139,7 +139,7 @@ def _warnings(mujoco):
         mujoco.set_mju_user_warning(before)
 
 
-def _mujoco():
+def imported():
     try:
         import mujoco
     except ImportError as error:

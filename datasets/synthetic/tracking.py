@@ -12,7 +12,7 @@ from .render import normals
 from .sensor import Scene, Sensor, View
 from .simulate import Motion, to_world
 
-__all__ = ["Attached", "Footage", "annotate", "film", "hand_points", "measure", "rounded", "thin"]
+__all__ = ["Attached", "Footage", "annotate", "film", "hand_points", "measure", "rounded", "spread", "thin"]
 
 HANDS = 30  # controller points of a published case
 ANNOTATED = 9  # ground-truth tracks of a published case
@@ -114,7 +114,7 @@ def hand_points(hand: Hand, motion: Motion, footage: Footage, rng: np.random.Gen
     chosen = np.flatnonzero(seen & (distance < GRASP))
     if len(chosen) < HANDS:
         raise ValueError(f"the cameras must see {HANDS} hand points near the grip in frame 0, they see {len(chosen)}")
-    return measure(world[:, chosen[_spread(world[0, chosen], HANDS)]], footage.sensor, rng)
+    return measure(world[:, chosen[spread(world[0, chosen], HANDS)]], footage.sensor, rng)
 
 
 def annotate(points: np.ndarray, seen: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> np.ndarray:
@@ -122,11 +122,11 @@ def annotate(points: np.ndarray, seen: np.ndarray, sensor: Sensor, rng: np.rando
     start = np.flatnonzero(seen[0])
     if len(start) < ANNOTATED:
         raise ValueError(f"camera 0 must see {ANNOTATED} tracked points in frame 0 to annotate, it sees {len(start)}")
-    chosen = start[_spread(points[0, start], ANNOTATED)]
+    chosen = start[spread(points[0, start], ANNOTATED)]
     return np.where(seen[:, chosen, None], measure(points[:, chosen], sensor, rng), np.nan)
 
 
-def _spread(points, count):
+def spread(points, count):
     """Farthest-point sampling of ``count`` indices from index 0."""
     chosen, distance = [0], np.full(len(points), np.inf)
     while len(chosen) < count:

@@ -1,28 +1,74 @@
 """The physics that a system can have: one term, one file. Removing a term from a system's list removes that physics."""
 
+from .added_mass import AddedMass
+from .anisotropy import Anisotropy
 from .base import Effect, Term
 from .bending import Bending
 from .bending_damping import BendingDamping
+from .compression_softening import CompressionSoftening
+from .controller_delay import ControllerDelay
 from .controller_springs import ControllerSprings
 from .dashpot import Dashpot
 from .gravity import Gravity
+from .gravity_tilt import GravityTilt
+from .grip_compliance import GripCompliance
+from .grip_points import GripPoints
+from .grip_slip import GripSlip
 from .ground import Ground
+from .ground_adhesion import GroundAdhesion
+from .ground_pose import GroundPose
+from .hidden_obstacle import HiddenObstacle
+from .hidden_tether import HiddenTether
 from .linear_drag import LinearDrag
+from .observer import Observer
+from .plasticity import Plasticity
+from .quadratic_drag import QuadraticDrag
+from .rest_shape import RestShape
+from .second_hand import SecondHand
 from .self_collision import SelfCollision
 from .springs import Springs
+from .stiffness_field import StiffnessField
+from .strain_stiffening import StrainStiffening
+from .stribeck_ground import StribeckGround
+from .tearing import Tearing
 from .torsion import Torsion
+from .viscoelastic import Viscoelastic
+from .wind import Wind
 
 __all__ = [
+    "AddedMass",
+    "Anisotropy",
     "Bending",
     "BendingDamping",
+    "CompressionSoftening",
+    "ControllerDelay",
     "ControllerSprings",
     "Dashpot",
     "Effect",
     "Gravity",
+    "GravityTilt",
+    "GripCompliance",
+    "GripPoints",
+    "GripSlip",
     "Ground",
+    "GroundAdhesion",
+    "GroundPose",
+    "HiddenObstacle",
+    "HiddenTether",
     "LinearDrag",
+    "Observer",
+    "Plasticity",
+    "QuadraticDrag",
+    "RestShape",
+    "SecondHand",
     "SelfCollision",
     "Springs",
+    "StiffnessField",
+    "StrainStiffening",
+    "StribeckGround",
+    "Tearing",
     "Term",
     "Torsion",
+    "Viscoelastic",
+    "Wind",
 ]

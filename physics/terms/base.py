@@ -5,6 +5,7 @@ into one kernel and derives their adjoints, so a term never writes a gradient. `
 
 stage       law                                                      returns
 "axial"     (length, rate, rest, stiffness, p, o)                    tension along the spring [N], positive pulls its ends together
+"strand"    (length, rate, rest, stiffness, link, middle, t, q, p, o) tension along a spring that remembers q [N]
 "hinge"     (kappa, rate, natural, span, p, o)                       moment of a hinge [N m], the work per change of kappa
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
 "observer"  (x, v, home, y, u, m, p, o)                              force on one particle that was seen at y [m], moving with u [m/s]
@@ -13,6 +14,11 @@ stage       law                                                      returns
 "move"      (x, v, dt, p, o)                                         position and velocity after the substep
 "links"     none: the term only adds springs
 "setup"     ``prepare``, in torch: what the system is made of, before it moves (masses, rest lengths, controllers' paths)
+
+A strand term also declares ``evolve`` (length, rate, rest, stiffness, link, middle, t, q, dt, p, o), its memory after the substep: one
+number a spring, 0 in frame 0, which must not overshoot what it tends to, however long dt is. Law and evolve both see the substep's start.
+``link`` is 1 for a spring that ties a controller, else 0; ``middle`` [m] is where the spring's middle was in frame 0; ``t`` [s] is the time
+since then.
 
 Contacts are between particles of one system that approach: (xj - xi) . (vj - vi) < -1e-4 m^2/s. Pairs are looked up once a frame; a contact
 term with a parameter ``collide_neighbours`` of 0 leaves out those that start closer than p[o]. Driven particles do not yield.
@@ -23,7 +29,7 @@ rate [1/s] is theirs, natural (n1, n2, 0) the wanted curvature, span [m] the len
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, hinge, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
+Forces are summed over axial, strand, hinge, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -34,8 +40,8 @@ from ..parameters import Parameter
 
 __all__ = ["STAGED", "STAGES", "Effect", "Term"]
 
-STAGES = ("axial", "hinge", "body", "observer", "velocity", "contact", "move", "links", "setup")
-STAGED = STAGES[:7]  # whose laws are in the kernels
+STAGES = ("axial", "strand", "hinge", "body", "observer", "velocity", "contact", "move", "links", "setup")
+STAGED = STAGES[:8]  # whose laws are in the kernels
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,10 @@ class Effect:
 
 @dataclass(frozen=True)
 class Term:
-    """One law with its parameter values; subclasses declare ``name``, ``stage``, ``parameters`` and ``law`` (or ``prepare``)."""
+    """One law with its parameter values.
+
+    Subclasses declare ``name``, ``stage``, ``parameters`` and ``law`` (and ``evolve`` if it remembers), or ``prepare``.
+    """
 
     values: dict[str, float] = field(default_factory=dict)
 
@@ -72,6 +81,7 @@ class Term:
     stage: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     law: ClassVar = None
+    evolve: ClassVar = None
     effect: ClassVar[Effect | None] = None
 
     def __post_init__(self):

@@ -7,22 +7,26 @@ import warp as wp
 from ..parameters import Parameter
 from .base import Term
 
-__all__ = ["Ground"]
+__all__ = ["Ground", "plane", "rebound"]
 
 
 @wp.func
-def bounce(x: Any, v: Any, dt: Any, p: Any, o: int):
-    one = type(dt)(1.0)
-    zero = type(dt)(0.0)
+def plane(x: Any, p: Any, o: int):
+    """The ground's normal, and how high above it a particle is."""
     n = type(x)()
     n[0] = p[o + 2]
     n[1] = p[o + 3]
     n[2] = p[o + 4]
-    height = wp.dot(n, x) - p[o + 5]
+    return n, wp.dot(n, x) - p[o + 5]
+
+
+@wp.func
+def rebound(x: Any, v: Any, dt: Any, n: Any, height: Any, elasticity: Any, friction: Any):
+    """Position and velocity after a substep above the ground or with an impact on it."""
+    one = type(dt)(1.0)
+    zero = type(dt)(0.0)
     speed = wp.dot(n, v)
     if height + speed * dt < zero and speed < type(dt)(-1.0e-4):
-        elasticity = wp.clamp(p[o], zero, one)
-        friction = wp.clamp(p[o + 1], zero, type(dt)(2.0))
         normal = n * speed
         tangent = v - normal
         slide = wp.length(tangent)
@@ -31,6 +35,14 @@ def bounce(x: Any, v: Any, dt: Any, p: Any, o: int):
         impact = -height / speed
         return x + v * impact + after * (dt - impact), after
     return x + v * dt, v
+
+
+@wp.func
+def bounce(x: Any, v: Any, dt: Any, p: Any, o: int):
+    n, height = plane(x, p, o)
+    elasticity = wp.clamp(p[o], type(dt)(0.0), type(dt)(1.0))
+    friction = wp.clamp(p[o + 1], type(dt)(0.0), type(dt)(2.0))
+    return rebound(x, v, dt, n, height, elasticity, friction)
 
 
 class Ground(Term):

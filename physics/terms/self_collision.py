@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .base import Effect, Term
 
 __all__ = ["SelfCollision"]
 
@@ -48,6 +48,14 @@ class SelfCollision(Term):
         Parameter("collide_neighbours", 1.0, 0.0, 1.0, "-", "1: particles that start close can meet as well, 0: they cannot"),
     )
     law = impulse
+    effect = Effect(
+        "self_contact",
+        "parts of the body run into one another",
+        amplitudes=("collision_dist",),
+        typical={"collision_dist": 0.02},
+        shapes={"collide_neighbours": (0.0,)},
+        motion="folding it onto itself",
+    )
 
     @staticmethod
     def twin(xi, xj, vi, vj, mi, mj, collision_dist, collide_object_elas, collide_object_fric, collide_neighbours):

@@ -1,0 +1,10 @@
+"""Pairs of recordings of one object in which a physical effect, a fault of measurement or nothing is concealed.
+
+MuJoCo simulates them, with laws of its own or with forces computed in its state at every step, not the engine of this project.
+The folders hold what a user would believe; what was concealed stands in one file beside them.
+"""
+
+from .case import Case, build
+from .effects import EFFECTS, OUTSIDE
+
+__all__ = ["EFFECTS", "OUTSIDE", "Case", "build"]

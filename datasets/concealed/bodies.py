@@ -1,0 +1,157 @@
+"""Cloths, ropes and stuffed bodies: mesh, mass and material, drawn from a seed. Rest axes: z up, the middle over the origin, SI units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..synthetic.objects import Plush
+
+__all__ = ["BODIES", "Body", "draw"]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A flex as MuJoCo takes it.
+
+    kind       cloth, rope or plush
+    vertices   (V, 3) rest positions [m], the lowest at z = 0
+    elements   (E, dim + 1) vertex indices: segments, triangles or tetrahedra
+    faces      (F, 3) the skin, normals outward; empty for a rope
+    mass       (V,) [kg]
+    radius     of a vertex in contact, and of the rope itself [m]
+    young      Young's modulus [Pa]
+    thickness  of a shell [m]
+    shear      modulus of a rope against twist [Pa]
+    damping    stiffness-proportional damping time [s]
+    drag       linear drag of the air, per mass [1/s]
+    friction   Coulomb coefficient against the table
+    layers     whether the body touches itself
+    stiffness  (E,) factor of every element's elasticity
+    bending    factor of a shell's bending stiffness
+    fibre      (3,) extra stiffness [Pa] along a unit axis of the rest shape, as axis times modulus
+    crease     damping time of a shell's bending alone [s]
+    yields     strain at which stretch and bend become plastic, 0 for never
+    """
+
+    kind: str
+    vertices: np.ndarray
+    elements: np.ndarray
+    faces: np.ndarray
+    mass: np.ndarray
+    radius: float
+    young: float
+    poisson: float = 0.3
+    thickness: float = 1e-3
+    shear: float = 0.0
+    damping: float = 0.005
+    drag: float = 0.3
+    friction: float = 0.4
+    layers: bool = False
+    stiffness: np.ndarray | None = None
+    bending: float = 1.0
+    fibre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    crease: float = 0.0
+    yields: tuple[float, float] = (0.0, 0.0)
+    about: dict = field(default_factory=dict)
+
+    @property
+    def dim(self) -> int:
+        return self.elements.shape[1] - 1
+
+    @cached_property
+    def area(self) -> np.ndarray:
+        """(V,) what every vertex shows to the air [m^2]: a share of the skin around it, a rope its shadow."""
+        if self.dim == 1:
+            length = np.linalg.norm(np.diff(self.vertices[self.elements], axis=1)[:, 0], axis=1)
+            return np.bincount(self.elements.ravel(), np.repeat(length * self.radius, 2), len(self.vertices))
+        corners = self.vertices[self.faces]
+        size = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+        return np.bincount(self.faces.ravel(), np.repeat(size / 3, 3), len(self.vertices))
+
+    @cached_property
+    def measure(self) -> np.ndarray:
+        """(E,) length, area or volume of the elements."""
+        edges = self.vertices[self.elements[:, 1:]] - self.vertices[self.elements[:, :1]]
+        return np.sqrt(np.linalg.det(edges @ np.swapaxes(edges, 1, 2))) / (1, 1, 2, 6)[self.dim]
+
+    def near(self, point, radius: float) -> np.ndarray:
+        """Vertices within ``radius`` of a rest position."""
+        return np.flatnonzero(np.linalg.norm(self.vertices - np.asarray(point), axis=1) <= radius)
+
+
+def lumped(elements, measure, total, count):
+    """(V,) masses: every element's share of ``total`` [kg] on its corners."""
+    corners = elements.shape[1]
+    return np.bincount(elements.ravel(), np.repeat(total * measure / measure.sum() / corners, corners), count)
+
+
+def cloth(rng: np.random.Generator, *, fine: bool = False) -> Body:
+    """A knit of 0.25 to 0.38 m, limp: its bending length is one to two centimetres."""
+    size = rng.uniform(0.26, 0.38) * np.array([1, rng.uniform(0.8, 1)])
+    nx, ny = (21, 20) if fine else (int(rng.integers(14, 17)), int(rng.integers(13, 16)))
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, nx) * size[0], np.linspace(-0.5, 0.5, ny) * size[1], indexing="ij")
+    index = np.arange(nx * ny).reshape(nx, ny)
+    a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    # Diagonals alternate, so that the mesh has no grain of its own.
+    odd = np.add.outer(np.arange(nx - 1), np.arange(ny - 1)).ravel() % 2 == 1
+    first = np.where(odd[:, None], np.stack([a, b, d], 1), np.stack([a, b, c], 1))
+    second = np.where(odd[:, None], np.stack([b, c, d], 1), np.stack([a, c, d], 1))
+    faces = np.concatenate([first, second])
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(nx * ny)], 1)
+    areal, tension = rng.uniform(0.18, 0.35), np.exp(rng.uniform(np.log(15), np.log(60)))
+    total = areal * size.prod()
+    body = Body("cloth", vertices, faces, faces, np.ones(len(vertices)), 1e-3, tension / 1e-3, poisson=rng.uniform(0.1, 0.35))
+    return _with(body, total, rng, bending=float(np.exp(rng.uniform(np.log(2), np.log(10)))), size=size.tolist(), tension=tension)
+
+
+def rope(rng: np.random.Generator, *, fine: bool = False) -> Body:
+    """A soft cord of 0.45 to 0.75 m that hardly stretches, laid in a slight bow."""
+    length, count = rng.uniform(0.45, 0.75), 60 if fine else int(rng.integers(36, 46))
+    s = np.linspace(-0.5, 0.5, count) * length
+    bow = rng.uniform(-0.6, 0.6)
+    vertices = np.stack([np.sin(bow * s / length) / bow * length, (1 - np.cos(bow * s / length)) / bow * length, np.zeros(count)], 1)
+    elements = np.stack([np.arange(count - 1), np.arange(1, count)], 1)
+    radius = rng.uniform(0.0035, 0.0055)
+    rigidity = np.exp(rng.uniform(np.log(1e-5), np.log(6e-5)))  # E I [N m^2]
+    young = rigidity / (np.pi * radius**4 / 4)
+    body = Body("rope", vertices, elements, np.zeros((0, 3), int), np.ones(count), radius, young, poisson=0.3, shear=1e-3 * young)
+    return _with(body, rng.uniform(0.06, 0.11) * length, rng, length=length, rigidity=rigidity)
+
+
+def plush(rng: np.random.Generator, *, fine: bool = False) -> Body:
+    """A stuffed bar, slab or parcel of foam."""
+    size = [(0.24, 0.06, 0.026), (0.2, 0.12, 0.025), (0.16, 0.09, 0.05), (0.3, 0.05, 0.03)][int(rng.integers(4))]
+    size = tuple(float(x) for x in np.array(size) * rng.uniform(0.9, 1.15, 3))
+    pitch = 0.018 if fine else 0.023
+    cells = tuple(int(n) for n in np.maximum(np.round(np.array(size) / pitch), [1, 2, 1 + fine]))
+    shape = Plush(size=size, cells=cells, taper=rng.uniform(0, 0.4), rounding=rng.uniform(0, 0.35), roundness=rng.uniform(0, 0.6))
+    young = float(np.exp(rng.uniform(np.log(1500), np.log(6000))))
+    body = Body("plush", shape.vertices, shape.tetrahedra, shape.faces, np.ones(len(shape.vertices)), 1e-3, young)
+    return _with(body, rng.uniform(60, 130) * body.measure.sum(), rng, size=size, damping=rng.uniform(0.005, 0.02))
+
+
+def _with(body, total, rng, *, bending=1.0, damping=None, **about):
+    from dataclasses import replace
+
+    return replace(
+        body,
+        mass=lumped(body.elements, body.measure, total, len(body.vertices)),
+        bending=bending,
+        damping=float(rng.uniform(0.003, 0.012) if damping is None else damping),
+        drag=float(rng.uniform(0.3, 0.8)),
+        friction=float(rng.uniform(0.3, 0.6)),
+        about=about,
+    )
+
+
+BODIES = {"cloth": cloth, "rope": rope, "plush": plush}
+
+
+def draw(kind: str, rng: np.random.Generator, *, fine: bool = False) -> Body:
+    """A body of ``BODIES``; ``fine`` takes a finer mesh. Raises ValueError for an unknown kind."""
+    if kind not in BODIES:
+        raise ValueError(f"unknown body {kind!r}; known: {', '.join(BODIES)}")
+    return BODIES[kind](rng, fine=fine)

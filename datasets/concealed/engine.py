@@ -1,0 +1,261 @@
+"""MuJoCo simulates a body in the hands of a script, with a table, hidden obstacles and laws that add forces in every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..synthetic.simulate import GRAVITY, HAND_MASS, imported, numbers, spin, warnings
+from .bodies import Body
+from .elements import Elements
+from .motions import Script
+
+__all__ = ["Law", "Motion", "Unstable", "World", "simulate"]
+
+FPS = 30.0
+SETTLE = 0.3  # the body lies in closed grips that long before frame 0 [s]
+FASTEST = 20.0  # no vertex of a sane simulation is faster [m/s]
+
+Step = Callable[[float, np.ndarray, np.ndarray], np.ndarray | None]
+Law = Callable[["World"], Step]
+
+
+class Unstable(RuntimeError):
+    """MuJoCo's solution cannot be trusted."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What surrounds the body. laws: each is given the world once and then, in every step, time [s] from frame 0, positions and velocities
+    (V, 3), and returns forces (V, 3) [N] or None; it may also change the model. geoms: MJCF of obstacles."""
+
+    gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
+    laws: tuple[Law, ...] = ()
+    geoms: str = ""
+    table: str = ""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What moved, z up: vertices (T, V, 3), and of H hands position (H, T, 3) and rotation (H, T, 3, 3). Metres.
+
+    gripped  (H,) arrays of vertex indices
+    events   frames at which laws said that something began
+    """
+
+    vertices: np.ndarray
+    position: np.ndarray
+    rotation: np.ndarray
+    gripped: tuple[np.ndarray, ...]
+    events: dict = field(default_factory=dict)
+
+
+class World:
+    """The running simulation, as laws see it: MuJoCo's ``model`` and ``data``, the ``body``, its ``gripped`` vertices, ``dt`` [s]."""
+
+    def __init__(self, body: Body, script: Script, physics: Physics, substeps: int):
+        self.mujoco, self.body, self.dt = imported(), body, 1 / (FPS * substeps)
+        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.start = body.vertices + [0, 0, body.radius]
+        self.model = self.mujoco.MjModel.from_xml_string(_mjcf(body, self.start, self.gripped, physics, self.dt))
+        self.data = self.mujoco.MjData(self.model)
+        self.events = {}
+        self.bodies = self.model.flex_vertbodyid[: len(body.vertices)]
+        self.dofs = self.model.body_dofadr[self.bodies][:, None] + np.arange(3)
+        self.slides = self.model.jnt_qposadr[self.model.body_jntadr[self.bodies]][:, None] + np.arange(3)
+        self.model.opt.gravity[:] = physics.gravity
+        self.set_mass(body.mass)
+        self.model.dof_damping[self.dofs] = body.drag * body.mass[:, None]
+        self._material()
+        self._grips(script)
+        self.mujoco.mj_forward(self.model, self.data)
+
+    @property
+    def anchors(self) -> np.ndarray:
+        """(G, 3) where the gripped vertices are held, in their hands' axes [m]; writable."""
+        return self.model.eq_data[: sum(map(len, self.gripped)), :3]
+
+    def set_mass(self, mass: np.ndarray) -> None:
+        """Masses (V,) [kg] of the vertices from now on."""
+        self.model.body_mass[self.bodies] = mass
+        state = self.data.qpos.copy()
+        self.mujoco.mj_setConst(self.model, self.data)  # it leaves the reference pose in data
+        self.data.qpos[:] = state
+
+    def positions(self) -> np.ndarray:
+        return self.start + self.data.qpos[self.slides]
+
+    def velocities(self) -> np.ndarray:
+        return self.data.qvel[self.dofs]
+
+    def grip_force(self, hand: int) -> np.ndarray:
+        """(3,) with which the body pulled at ``hand`` in the last step [N]."""
+        first = sum(map(len, self.gripped[:hand]))
+        data = self.data
+        rows = (data.efc_type == self.mujoco.mjtConstraint.mjCNSTR_EQUALITY) & (data.efc_id >= first)
+        rows &= data.efc_id < first + len(self.gripped[hand])
+        # the first body of each connection is the hand, so its force is that of the constraint on the hand
+        return data.efc_force[rows].reshape(-1, 3).sum(axis=0)
+
+    def table_force(self) -> np.ndarray:
+        """(V,) normal forces of the table and of obstacles in the last step [N]."""
+        data = self.data
+        total = np.zeros(len(self.body.vertices))
+        if not data.ncon:
+            return total
+        first, size = data.contact.efc_address[: data.ncon], 2 * (data.contact.dim[: data.ncon] - 1)
+        held = first >= 0
+        sums = np.concatenate([[0], np.cumsum(data.efc_force)])
+        normal = sums[first[held] + size[held]] - sums[first[held]]
+        vertex, element = data.contact.vert[: data.ncon][held].max(axis=1), data.contact.elem[: data.ncon][held].max(axis=1)
+        single = vertex >= 0
+        total += np.bincount(vertex[single], normal[single], len(total))
+        corners = self.body.elements[element[~single]]
+        if len(corners):
+            total += np.bincount(corners.ravel(), np.repeat(normal[~single] / corners.shape[1], corners.shape[1]), len(total))
+        return total
+
+    def _material(self):
+        body, model = self.body, self.model
+        if body.dim == 1:
+            return
+        elements = Elements.of(model)
+        modulus = np.linalg.norm(body.fibre)
+        if modulus:
+            rows = elements.strain_rows(body.vertices, np.array(body.fibre) / modulus)
+            volume = body.measure * (body.thickness if body.dim == 2 else 1)
+            # The energy modulus / 2 * strain^2 * volume, in MuJoCo's factor of 2 (``Elements``).
+            elements.matrix[:] += 2 * modulus * volume[:, None, None] * rows[:, :, None] * rows[:, None, :]
+        elements.store(model, 1.0 if body.stiffness is None else body.stiffness)
+        self.elements = Elements.of(model)
+        if body.dim == 2:
+            model.flex_bending[: len(model.flex_bending) // model.nflex] *= body.bending
+
+    def _grips(self, script):
+        self.origins = [np.array(hand.grip) + [0, 0, self.body.radius] for hand in script.hands]
+        for held, origin, first in zip(self.gripped, self.origins, np.cumsum([0, *map(len, self.gripped)]), strict=False):
+            rows = slice(first, first + len(held))
+            self.model.eq_data[rows, :3], self.model.eq_data[rows, 3:6] = self.start[held] - origin, 0
+
+    def hold(self, hand, position, velocity, rotation, turning):
+        """Put a hand where it belongs; with its true velocity, as a teleported one leaves a lag between grip and body."""
+        data, q, v = self.data, 7 * hand, 6 * hand
+        data.qpos[q : q + 3], data.qvel[v : v + 3], data.qvel[v + 3 : v + 6] = position, velocity, turning
+        self.mujoco.mju_mat2Quat(data.qpos[q + 3 : q + 7], rotation.ravel())
+
+
+def simulate(body: Body, script: Script, physics: Physics | None = None, *, substeps: int = 32) -> Motion:
+    """``script.frames`` frames of ``body`` with ``substeps`` steps each. Raises Unstable where the solution blows up or MuJoCo warns."""
+    physics = physics or Physics()
+    world = World(body, script, physics, substeps)
+    steps, settle = (script.frames - 1) * substeps, round(SETTLE / world.dt)
+    paths = []
+    for hand, origin in zip(script.hands, world.origins, strict=True):
+        moves, turns = hand.path((np.arange(-settle, steps + 2)) * world.dt)
+        paths.append((origin + moves, np.diff(moves, axis=0) / world.dt, turns, spin(turns) / world.dt))
+    laws = [law(world) for law in physics.laws]
+    clamps = _Clamps(world) if body.dim == 1 else None
+    frames = []
+    with warnings(world.mujoco) as said:
+        for step in range(settle + steps + 1):
+            for index, (position, velocity, turns, turning) in enumerate(paths):
+                world.hold(index, position[step], velocity[step], turns[step], turning[step])
+            if clamps:
+                clamps.turn([turns[step] for _, _, turns, _ in paths])
+            x, v = world.positions(), world.velocities()
+            if step >= settle and (step - settle) % substeps == 0:
+                frames.append(x)
+            if said or not np.abs(v).max() < FASTEST:
+                raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: {said[0] if said else 'it blew up'}")
+            forces = [force for law in laws if (force := law((step - settle) * world.dt, x, v)) is not None]
+            world.data.qfrc_applied[world.dofs] = sum(forces) if forces else 0
+            world.mujoco.mj_step(world.model, world.data)
+    sampled = settle + np.arange(script.frames) * substeps
+    return Motion(
+        np.array(frames),
+        np.array([position[sampled] for position, *_ in paths]),
+        np.array([turns[sampled] for _, _, turns, _ in paths]),
+        world.gripped,
+        {name: round(time * FPS) for name, time in world.events.items()},
+    )
+
+
+class _Clamps:
+    """The hands also hold a rope's gripped segments against turning about themselves.
+
+    MuJoCo keeps each segment's angle from a reference (tangent, director) that it transports in time; the angle is set so that the
+    material director turns with the hand.
+    """
+
+    def __init__(self, world):
+        self.world, model = world, world.model
+        self.frames = slice(int(model.flex_plasticadr[0]), int(model.flex_plasticadr[0]) + 6 * len(world.body.elements))
+        self.segments, self.hands = [], []
+        for hand, held in enumerate(world.gripped):
+            for segment in np.flatnonzero(np.isin(world.body.elements, held).all(axis=1)):
+                self.segments.append(segment)
+                self.hands.append(hand)
+        last = len(world.body.elements) - 1
+        names = ["body_twist" if s == last else f"body_twist_{s}" for s in self.segments]
+        self.joints = [model.joint(name).qposadr[0] for name in names]
+        self.dofs = [model.joint(name).dofadr[0] for name in names]
+        self.directors = None
+
+    def turn(self, rotations):
+        data = self.world.data
+        frames = data.plastic[self.frames].reshape(-1, 2, 3)[self.segments]
+        if self.directors is None:
+            self.directors = [r.T @ f[1] for r, f in zip((rotations[h] for h in self.hands), frames, strict=True)]
+        for k, (hand, (tangent, director)) in enumerate(zip(self.hands, frames, strict=True)):
+            wanted = rotations[hand] @ self.directors[k]
+            angle = np.arctan2(wanted @ np.cross(tangent, director), wanted @ director)
+            before = data.qpos[self.joints[k]]
+            angle = before + (angle - before + np.pi) % (2 * np.pi) - np.pi
+            data.qvel[self.dofs[k]] = 0.0
+            data.qpos[self.joints[k]] = angle
+
+
+def _mjcf(body, points, gripped, physics, dt):
+    """The scene as MJCF. Only the ``discrete`` integrator is stable for a soft flex at a millisecond."""
+    stiff = f'solref="{2 * dt:.9g} 1" solimp="0.99 0.999 0.001"'
+    hands = "".join(
+        f'<body name="hand_{i}" gravcomp="1"><freejoint/>'
+        f'<inertial pos="0 0 0" mass="{HAND_MASS}" diaginertia="{HAND_MASS} {HAND_MASS} {HAND_MASS}"/></body>'
+        for i in range(len(gripped))
+    )
+    grips = "".join(f'<connect body1="hand_{i}" body2="body_{v}" anchor="0 0 0" {stiff}/>' for i, held in enumerate(gripped) for v in held)
+    contact = f'<contact selfcollide="{"auto" if body.layers else "none"}" friction="{body.friction}" {stiff}/>'
+    elastic = f'young="{body.young:.9g}" poisson="{body.poisson}" damping="{body.damping:.9g}"'
+    rest = {1: f'shear="{body.shear:.9g}"', 2: f'thickness="{body.thickness}" elastic2d="both"', 3: ""}[body.dim]
+    yields = f'yield="{numbers(body.yields if body.dim == 2 else body.yields[:1])}"' if max(body.yields) > 0 else ""
+    edge = f'<edge equality="true" {stiff}/>' if body.dim == 1 else ""
+    return f"""<mujoco>
+  <option timestep="{dt:.12g}" integrator="discrete" solver="CG" iterations="200" tolerance="1e-8"/>
+  <size memory="64M"/>
+  <worldbody>
+    <geom name="table" type="plane" size="3 3 0.1" {physics.table}/>
+    {physics.geoms}
+    {hands}
+    <flexcomp name="body" type="direct" dim="{body.dim}" mass="{body.mass.sum():.12g}" radius="{body.radius}"
+      point="{numbers(points)}" element="{numbers(body.elements)}">
+      {contact}
+      <elasticity {elastic} {rest} {yields}/>
+      {edge}
+    </flexcomp>
+  </worldbody>
+  {_creases(body)}
+  <equality>{grips}</equality>
+</mujoco>"""
+
+
+def _creases(body):
+    """A second shell over the same vertices that bends only: its damping is that of creases, not of stretch."""
+    if not body.crease:
+        return ""
+    names = " ".join(f"body_{v}" for v in range(len(body.vertices)))
+    return f"""<deformable><flex name="creases" dim="2" radius="{body.radius}" body="{names}" element="{numbers(body.elements)}">
+      <contact contype="0" conaffinity="0" selfcollide="none"/>
+      <elasticity young="{body.young:.9g}" poisson="{body.poisson}" thickness="{body.thickness}" elastic2d="bend" damping="{body.crease:.9g}"/>
+    </flex></deformable>"""

@@ -1,0 +1,244 @@
+"""Forces on a body that MuJoCo does not know, computed from its state in every step.
+
+Each function takes the constants of a law and returns a ``Law`` of ``engine``: given the world, the law's step. Units are SI, z is up.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .engine import Law
+
+__all__ = [
+    "adhesion", "air", "drops_mass", "maxwell", "motor", "poles", "rotating", "slip", "stick", "stiffens", "tear", "tether", "timed_stiffness",
+]  # fmt: skip
+
+
+def air(coefficient: float, wind=(0.0, 0.0, 0.0)) -> Law:
+    """Quadratic drag against air that moves with ``wind`` [m/s]: c A |w - v| (w - v), c in kg/m^3 (half density times drag coefficient)."""
+
+    def start(world):
+        area, dt, mass = world.body.area[:, None], world.dt, world.body.mass[:, None]
+
+        def step(time, x, v):
+            relative = np.asarray(wind) - v
+            rate = coefficient * area * np.linalg.norm(relative, axis=1, keepdims=True)
+            return rate * relative / (1 + rate * dt / mass)  # implicit in v, so that no gust overshoots
+
+        return step
+
+    return start
+
+
+def stiffens(factor: float) -> Law:
+    """Stress E e (1 + factor e^2) for the largest edge strain e of an element, with e of the step before."""
+
+    def start(world):
+        elements = world.elements
+
+        def step(time, x, v):
+            strain = np.abs(elements.elongation(x) / (2 * elements.rest)).max(axis=1)
+            elements.store(world.model, 1 + factor * strain**2)
+
+        return step
+
+    return start
+
+
+def timed_stiffness(factor: float, begin: float, end: float) -> Law:
+    """All stiffness goes from 1 to ``factor`` times its own between two times [s]."""
+
+    def start(world):
+        def step(time, x, v):
+            world.elements.store(world.model, factor ** float(np.clip((time - begin) / (end - begin), 0, 1)))
+
+        return step
+
+    return start
+
+
+def maxwell(ratio: float, tau: float) -> Law:
+    """A Maxwell branch beside every element: ``ratio`` times its stiffness, forgetting its stretch with time constant ``tau`` [s].
+
+    The branch's spring is given to MuJoCo; what it has forgotten, q' = (s - q) / tau, pushes back.
+    """
+
+    def start(world):
+        elements = world.elements
+        elements.store(world.model, 1 + ratio)
+        forgotten, keep = np.zeros_like(elements.rest), np.exp(-world.dt / tau)
+
+        def step(time, x, v):
+            elongation = elements.elongation(x)
+            forgotten[:] = elongation + (forgotten - elongation) * keep
+            return -ratio * elements.force(x, forgotten)
+
+        return step
+
+    return start
+
+
+def adhesion(pressure: float, reach: float) -> Law:
+    """The table pulls down with ``pressure`` [Pa] on the area of vertices lower than ``reach`` [m], fading over the upper half."""
+
+    def start(world):
+        area = world.body.area * (world.start[:, 2] < world.start[:, 2].min() + 0.01)  # the underside
+
+        def step(time, x, v):
+            gap = x[:, 2] - world.body.radius
+            share = np.clip(2 - 2 * gap / reach, 0, 1)
+            force = np.zeros_like(x)
+            force[:, 2] = -pressure * area * share
+            return force
+
+        return step
+
+    return start
+
+
+def stick(extra: float, speed: float) -> Law:
+    """Friction that is higher at rest (Stribeck): on top of Coulomb's, ``extra`` exp(-(v / speed)^2) of the normal force, against v."""
+
+    def start(world):
+        mass = world.body.mass[:, None]
+
+        def step(time, x, v):
+            slide = v * [1, 1, 0]
+            fast = np.linalg.norm(slide, axis=1, keepdims=True)
+            most = extra * np.exp(-np.square(fast / speed)) * world.table_force()[:, None]
+            # No friction turns a velocity round within a step.
+            return -np.minimum(most / np.maximum(fast, 1e-12), 0.5 * mass / world.dt) * slide
+
+        return step
+
+    return start
+
+
+def tether(vertices: np.ndarray, anchor, stiffness: float, rest: float, path=None) -> Law:
+    """A spring [N/m] that only pulls, from the mean of ``vertices`` to ``anchor`` (3,) [m], or to ``anchor + path(time)``."""
+
+    def start(world):
+        share = (world.body.mass[vertices] / world.body.mass[vertices].sum())[:, None]
+
+        def step(time, x, v):
+            way = np.asarray(anchor) + (0 if path is None else path(time)) - (share * x[vertices]).sum(axis=0)
+            length = np.linalg.norm(way)
+            force = np.zeros_like(x)
+            if length > rest:
+                force[vertices] = share * stiffness * (length - rest) * way / length
+            return force
+
+        return step
+
+    return start
+
+
+def slip(threshold: float, rate: float, most: float, hand: int = 0) -> Law:
+    """Held vertices creep through the fingers by ``rate`` [m/s/N] times what the grip pulls above ``threshold`` [N], up to ``most`` [m]."""
+
+    def start(world):
+        first = sum(map(len, world.gripped[:hand]))
+        rows = slice(first, first + len(world.gripped[hand]))
+        gone = [0.0]
+
+        def step(time, x, v):
+            force = world.grip_force(hand)
+            size = np.linalg.norm(force)
+            if time <= 0.2 or size <= threshold or gone[0] >= most:
+                return
+            world.events.setdefault("slip", time)
+            way = min(rate * (size - threshold), 0.5) * world.dt  # at most half a metre a second
+            rotation = np.empty(9)
+            world.mujoco.mju_quat2Mat(rotation, world.data.qpos[7 * hand + 3 : 7 * hand + 7])
+            world.anchors[rows] += way * (rotation.reshape(3, 3).T @ (force / size))
+            gone[0] += way
+
+        return step
+
+    return start
+
+
+def tear(elements: np.ndarray, at: float) -> Law:
+    """``elements`` have no stiffness from the time ``at`` [s] on."""
+
+    def start(world):
+        factor = np.ones(len(world.elements.matrix))
+        factor[elements] = 0
+        edges = np.unique(world.model.flex_elemedge.reshape(len(world.body.elements), -1)[elements])
+        torn = []
+
+        def step(time, x, v):
+            if time >= at and not torn:
+                torn.append(time)
+                world.events["tear"] = time
+                world.elements.store(world.model, factor)
+                if world.body.dim == 2:
+                    world.model.flex_bending.reshape(len(world.model.flex_edge), -1)[edges] = 0
+
+        return step
+
+    return start
+
+
+def drops_mass(mass: np.ndarray, at: float) -> Law:
+    """The body weighs ``mass`` (V,) [kg] until the time ``at`` [s], and its own afterwards."""
+
+    def start(world):
+        world.set_mass(mass)
+        dropped = []
+
+        def step(time, x, v):
+            if time >= at and not dropped:
+                dropped.append(time)
+                world.set_mass(world.body.mass)
+
+        return step
+
+    return start
+
+
+def poles(one: np.ndarray, other: np.ndarray, strength: float, reach: float) -> Law:
+    """Two patches of vertices attract each other with ``strength`` [N] at distances below ``reach`` [m], beyond with its inverse cube."""
+
+    def start(world):
+        def step(time, x, v):
+            way = x[other].mean(axis=0) - x[one].mean(axis=0)
+            distance = max(np.linalg.norm(way), 1e-9)
+            pull = strength * min(1.0, (reach / distance) ** 3) * min(1.0, distance / (0.3 * reach)) * way / distance
+            force = np.zeros_like(x)
+            force[one], force[other] = pull / len(one), -pull / len(other)
+            return force
+
+        return step
+
+    return start
+
+
+def motor(one: np.ndarray, other: np.ndarray, strength: float, frequency: float) -> Law:
+    """Two patches are pushed apart and together with ``strength`` [N], ``frequency`` times a second, from frame 0 on."""
+
+    def start(world):
+        def step(time, x, v):
+            way = x[other].mean(axis=0) - x[one].mean(axis=0)
+            push = strength * np.sin(2 * np.pi * frequency * max(time, 0)) * way / max(np.linalg.norm(way), 1e-9)
+            force = np.zeros_like(x)
+            force[one], force[other] = -push / len(one), push / len(other)
+            return force
+
+        return step
+
+    return start
+
+
+def rotating(rate: float) -> Law:
+    """The laboratory turns about its vertical axis at ``rate`` [rad/s]: centrifugal and Coriolis forces."""
+
+    def start(world):
+        mass = world.body.mass[:, None]
+
+        def step(time, x, v):
+            return mass * (rate**2 * x * [1, 1, 0] - 2 * rate * np.cross([0, 0, 1.0], v))
+
+        return step
+
+    return start

@@ -1,0 +1,71 @@
+"""The twin before any question is asked: PhysTwin's physics, its free numbers, and a first fit."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from ..physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, Springs
+from ..physics.terms.mass_field import MassField
+from ..physics.terms.observer import Observer
+from ..physics.terms.stiffness_field import StiffnessField
+from ..physics.terms.stiffness_level import StiffnessLevel
+from .fit import Fit, Task, fit
+from .model import Knob, Model
+from .replica import Replica
+
+__all__ = ["baseline_model", "first_fit"]
+
+LEVELS = tuple(10.0 ** np.arange(1.0, 5.01, 0.5))  # N per unit strain and particle of unit mass, tried first
+DASHPOTS = (0.5, 5.0)  # N s/m
+STARTS = 2  # of the grid's best that are fitted
+
+
+def baseline_model(replicas: list[Replica]) -> Model:
+    """PhysTwin's terms and the numbers that its fit moves, its stiffness field in a few smooth modes."""
+    ground = any(r.recording.ground is not None for r in replicas)
+    tied = any((r.recording.grips < 0).any() for r in replicas)
+    terms = [Springs, Dashpot, ControllerSprings, Gravity, LinearDrag, Observer, StiffnessLevel, StiffnessField, MassField]
+    knobs = [
+        Knob("body_stiffness", 1e3, 1.0, 1.0, 1e6, log=True),
+        Knob("dashpot_damping", 3.0, 1.5, 1e-3, 200.0, log=True),
+        Knob("drag_damping", 1.0, 1.5, 1e-3, 20.0, log=True),
+    ]
+    values = {"controller_velocity": 1.0}
+    if tied:
+        knobs.append(Knob("grip_stiffness", 3e3, 1.5, 1.0, 1e5, log=True))
+    if ground:
+        terms.append(Ground)
+        knobs.append(Knob("collide_fric", 0.4, 0.3, 0.0, 2.0))
+        values["collide_elas"] = 0.05
+    knobs += [Knob(p.name, 0.0, 0.3, p.low, p.high) for field in (StiffnessField, MassField) for p in field.parameters]
+    return Model(tuple(terms), values, tuple(knobs))
+
+
+def first_fit(task: Task, model: Model, *, iterations: int) -> Fit:
+    """Try a grid of stiffness and damping, then fit from its best points and keep the better end."""
+    names = model.names
+    grid = []
+    for level, dashpot in product(LEVELS, DASHPOTS):
+        z = np.zeros(len(names))
+        for name, value in (("body_stiffness", level), ("grip_stiffness", 3 * level), ("dashpot_damping", dashpot)):
+            if name in names:
+                k = names.index(name)
+                z[k] = model.knobs[k].encode(min(model.knobs[k].high, value))
+        grid.append(z)
+    costs = []
+    for z in grid:
+        residual = task.residuals(task.predict(model, [z]))[0]
+        costs.append(float(residual @ residual) if np.isfinite(residual).all() else np.inf)
+    best = [grid[i] for i in np.argsort(costs)[:STARTS]]
+    fits = [fit(task, _recentred(model, z), np.zeros(len(z)), iterations=iterations) for z in best]
+    return min(fits, key=lambda f: f.loss)
+
+
+def _recentred(model, z):
+    """The model with its knobs' starts at ``z``: a prior says how far from a good start they may drift, not from a guess."""
+    from dataclasses import replace
+
+    knobs = tuple(replace(k, start=k.decode(u)) for k, u in zip(model.knobs, z, strict=True))
+    return replace(model, knobs=knobs)

@@ -1,0 +1,142 @@
+"""What could be missing: every effect that a term declares, at every place and shape worth trying on a recording."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from ..physics import terms as room
+from ..physics.terms.base import Term
+from .locate import peaks
+from .model import Knob, Simulator
+from .replica import spread_out
+
+__all__ = ["Hypothesis", "catalogue", "hypotheses_for"]
+
+PEAKS, SPREAD = 4, 5  # places tried: where the observer pushes most, and evenly over the body
+STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A term with its fixed values, and the amplitudes to be estimated."""
+
+    effect: str
+    term: type[Term]
+    values: dict[str, float]
+    knobs: tuple[Knob, ...]
+
+    @property
+    def place(self) -> np.ndarray | None:
+        """(3,) m, where it acts, or None."""
+        prefix = self.term.effect.place
+        return np.array([self.values[f"{prefix}_{axis}"] for axis in "xyz"]) if prefix else None
+
+    def free_knobs(self, spacing: float) -> tuple[Knob, ...]:
+        """Knobs of the shapes and of the place, for a refit in which they may move."""
+        effect, known = self.term.effect, {p.name: p for p in self.term.parameters}
+        knobs = []
+        for name in effect.shapes:
+            p = known[name]
+            if p.scale == "log":
+                knobs.append(Knob(name, self.values[name], 0.7, p.low, p.high, log=True, step=0.1))
+        for axis in "xyz" if effect.place else "":
+            p = known[f"{effect.place}_{axis}"]
+            knobs.append(Knob(p.name, self.values[p.name], 2 * spacing, p.low, p.high, step=0.15))
+        return tuple(knobs)
+
+
+@cache
+def catalogue() -> tuple[type[Term], ...]:
+    """Every term that declares an effect, by name."""
+    modules = [importlib.import_module(f"{room.__name__}.{m.name}") for m in pkgutil.iter_modules(room.__path__)]
+    found = {v for m in modules for v in vars(m).values() if isinstance(v, type) and issubclass(v, Term) and v.effect}
+    return tuple(sorted(found, key=lambda t: t.name))
+
+
+def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray) -> list[Hypothesis]:
+    """All hypotheses for a recording, given its free-running or observed twin ``predicted`` (F, n, 3) and the missing ``push`` (F, n, 3)."""
+    found = []
+    for term in catalogue():
+        if not _applies(term, simulator):
+            continue
+        effect, known = term.effect, {p.name: p for p in term.parameters}
+        size = max(abs(effect.typical[a]) for a in effect.amplitudes)
+        knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25) for a in effect.amplitudes)
+        for shape in product(*effect.shapes.values()):
+            values = dict(zip(effect.shapes, shape, strict=True))
+            for place in _places(term, simulator, predicted, push, values):
+                found.append(Hypothesis(effect.name, term, {**values, **place}, knobs))
+    return found
+
+
+def _applies(term, simulator):
+    """Whether the recording has what the term is about."""
+    recording = simulator.replica.recording
+    parameters = {p.name for p in term.parameters}
+    if ("ground_offset" in parameters or "adhesion_offset" in parameters or term.name == "ground_pose") and recording.ground is None:
+        return False
+    if term.name in ("grip_points", "grip_compliance", "grip_slip") and not simulator.replica.links.any():
+        return False
+    if term.name == "controller_delay" and not len(recording.grips):
+        return False
+    return True
+
+
+def _places(term, simulator, predicted, push, shape):
+    effect, replica = term.effect, simulator.replica
+    if not effect.place:
+        return [{}]
+    named = [p.name for p in term.parameters]
+    nodes = peaks(replica, push, PEAKS)
+    if term.name == "hidden_obstacle":
+        return [_named(effect.place, centre) for centre in _obstacle_centres(replica, predicted, push, nodes, shape["obstacle_radius"])]
+    even = spread_out(replica.nodes, SPREAD, nodes[:1])[1:] if len(nodes) else spread_out(replica.nodes, SPREAD)
+    places = []
+    for node in [*nodes, *even]:
+        values = _named(effect.place, replica.nodes[node])
+        if f"{effect.place}_anchor_x" in named:
+            values |= _named(f"{effect.place}_anchor", _anchor(replica, predicted, push, node, shape[effect.within]))
+        places.append(values)
+    return places
+
+
+def _named(prefix, point):
+    return {f"{prefix}_{axis}": float(c) for axis, c in zip("xyz", point, strict=True)}
+
+
+def _anchor(replica, predicted, push, node, reach):
+    """Where a cord would have to be tied: push = k (anchor - x) in the patch, least squares over its nodes and frames; else where it began."""
+    share = np.exp(-((replica.nodes - replica.nodes[node]) ** 2).sum(1) / (2 * reach**2))
+    inside = share > 0.3
+    x, f = predicted[:, inside].reshape(-1, 3), push[:, inside].reshape(-1, 3)
+    good = np.isfinite(f).all(1) & np.isfinite(x).all(1)
+    home = replica.nodes[node]
+    if good.sum() < 20:
+        return home
+    x, f = x[good], f[good]
+    spread = x - x.mean(0)
+    k = -float((spread * (f - f.mean(0))).sum() / max((spread**2).sum(), 1e-12))
+    if k <= 1.0:
+        return home
+    anchor = x.mean(0) + f.mean(0) / k
+    return anchor if np.linalg.norm(anchor - home) < 1.0 else home
+
+
+def _obstacle_centres(replica, predicted, push, nodes, radius):
+    """Behind the nodes that were pushed most, at the moment of their strongest push."""
+    centres = []
+    for node in nodes:
+        size = np.linalg.norm(push[:, node], axis=-1)
+        if not np.isfinite(size).any():
+            continue
+        frame = int(np.nanargmax(size))
+        direction = push[frame, node] / max(size[frame], 1e-9)
+        seen = replica.sightings.position[frame, node]
+        centres.append(seen - direction * radius)
+    return centres

@@ -1,0 +1,141 @@
+"""A parametric twin over one or more recordings: numbers in, simulated nodes out, many sets of numbers at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import ceil, exp, log
+
+import numpy as np
+import torch
+
+from ..physics.batch import Batch
+from ..physics.stability import stable_substeps
+from ..physics.terms.base import Term
+from .replica import Replica
+
+__all__ = ["Knob", "Model", "Simulator"]
+
+LADDER = 1.15  # substeps come in steps of 15 %, so that finite differences compare runs on one grid
+SAFETY = 0.8  # of the stable step
+BATCH = 64  # systems in one launch
+MOST = 600  # substeps a frame: a body that needs more is too stiff to be told from a stiffer one
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A number that a fit may turn.
+
+    start, spread  where it is expected and how far it may reasonably lie from there, in ``log`` where that is how it is turned
+    step           of finite differences, in units of ``spread``
+    """
+
+    name: str
+    start: float
+    spread: float
+    low: float
+    high: float
+    log: bool = False
+    step: float = 0.05
+
+    def decode(self, z: float) -> float:
+        """The value at ``z`` spreads from the start."""
+        value = self.start * exp(z * self.spread) if self.log else self.start + z * self.spread
+        return float(min(self.high, max(self.low, value)))
+
+    def encode(self, value: float) -> float:
+        """The inverse of ``decode`` within the bounds."""
+        return log(value / self.start) / self.spread if self.log else (value - self.start) / self.spread
+
+
+@dataclass(frozen=True)
+class Model:
+    """Term classes, fixed parameter values, and the knobs."""
+
+    terms: tuple[type[Term], ...]
+    values: dict[str, float]
+    knobs: tuple[Knob, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(k.name for k in self.knobs)
+
+    def decode(self, z) -> dict[str, float]:
+        """All parameter values at ``z`` (K,)."""
+        return {**self.values, **{k.name: k.decode(float(u)) for k, u in zip(self.knobs, z, strict=True)}}
+
+    def extended(self, terms: Sequence[type[Term]], values: Mapping[str, float], knobs: Sequence[Knob]) -> Model:
+        """The model with further terms (those it has already are left), values and knobs."""
+        new = tuple(t for t in terms if t not in self.terms)
+        return Model(self.terms + new, {**self.values, **values}, self.knobs + tuple(knobs))
+
+
+@dataclass
+class Simulator:
+    """Runs sets of parameter values on one recording's replica. Batches are kept for reuse."""
+
+    replica: Replica
+    device: str = "cpu"
+    double: bool = False
+    _batches: dict = field(default_factory=dict)
+    rollouts: int = 0
+
+    def fixed(self, terms) -> dict[str, float]:
+        """Values that the recording itself gives: gravity and ground."""
+        recording, values = self.replica.recording, {}
+        known = {p.name for t in terms for p in t.parameters}
+        for axis, g in zip("xyz", recording.gravity, strict=True):
+            values[f"gravity_{axis}"] = float(g)
+        if recording.ground is not None:
+            for axis, n in zip("xyz", recording.ground.normal, strict=True):
+                values[f"ground_normal_{axis}"] = values[f"adhesion_normal_{axis}"] = float(n)
+            values["ground_offset"] = values["adhesion_offset"] = float(recording.ground.offset)
+        return {k: v for k, v in values.items() if k in known}
+
+    def substeps(self, terms, values: Mapping[str, float]) -> int:
+        """Substeps a frame that the body needs at ``values``, once the setup terms have made it what it is."""
+        batch = self._batch(tuple(terms), 1, None)
+        made = batch.prepare(replace(batch.inputs, table=self._table(batch, terms, [values])))
+        count = self.replica.system.particle_count
+        masses = made.mass[:count].numpy().astype(float)
+        terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in ("axial", "hinge"))
+        body = replace(self.replica.system, stiffness=made.stiffness.numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms)
+        need = stable_substeps([body], 1 / self.replica.recording.fps, safety=SAFETY, least=8)
+        return min(MOST, ceil(LADDER ** ceil(log(need) / log(LADDER))))
+
+    def run(self, terms, rows: Sequence[Mapping[str, float]], frames: int, *, substeps: int | None = None) -> np.ndarray:
+        """Node positions (B, frames, n, 3) [m] for each of ``rows`` of parameter values; NaN from the first bad frame on."""
+        substeps = substeps or max(self.substeps(terms, row) for row in rows)
+        parts = [self._run(terms, rows[k : k + BATCH], frames, substeps) for k in range(0, len(rows), BATCH)]
+        self.rollouts += len(rows)
+        return np.concatenate(parts)
+
+    def _run(self, terms, rows, frames, substeps):
+        batch = self._batch(tuple(terms), len(rows), substeps)
+        rolled = batch.rollout(frames, replace(batch.inputs, table=self._table(batch, terms, rows)))
+        found = torch.stack(rolled.positions).numpy()
+        for b, bad in enumerate(rolled.diverged):
+            if bad >= 0:
+                found[b, bad:] = np.nan
+        return found
+
+    def _table(self, batch, terms, rows):
+        """The parameter table of ``rows``; what the recording itself says comes before what they say."""
+        fixed, table = self.fixed(terms), batch.inputs.table.clone()
+        columns = {name: k for k, name in enumerate(batch.columns)}
+        for b, row in enumerate(rows):
+            for name, value in {**row, **fixed}.items():
+                if name in columns:
+                    table[b, columns[name]] = value
+        return table
+
+    def _batch(self, terms, size, substeps):
+        """A batch of ``size`` such systems; ``substeps`` None: one to look at, not to run."""
+        key = (terms, size, substeps is None)
+        if key not in self._batches or (substeps and self._batches[key].substeps[0] != substeps):
+            system = replace(self.replica.system, terms=tuple(t() for t in terms))
+            fps = self.replica.recording.fps
+            self._batches[key] = Batch([system] * size, fps=fps, substeps=substeps or 1, device=self.device, double=self.double)
+        return self._batches[key]
+
+

@@ -1,0 +1,193 @@
+"""The twin that diagnoses: as coarse as the question allows, the same published physics, drawn on any recording of the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..datasets.scenario import Observed
+from ..physics.system import System
+from ..physics.topology import controller_springs, object_springs
+from .matching import material_coordinates
+from .sightings import Sightings, sight_nodes
+
+__all__ = ["Replica", "build_replica", "spread_out"]
+
+REACH = 2.3  # connection radius in node spacings: first and second neighbours of a sheet
+MOST = 26  # springs looked for at a node, itself included
+GRIP_REACH = 1.6  # how far a hand point holds nodes, in node spacings
+GRIP_MOST = 4
+STILL = 3.0  # start velocities below this many standard errors are noise
+
+
+@dataclass(frozen=True)
+class Replica:
+    """A recording and the coarse body drawn on its frame 0.
+
+    system     without terms: nodes, springs of unit stiffness [N], controllers, what was seen
+    sightings  what was seen of the nodes in every frame that the method may see
+    spacing    m, between neighbouring nodes
+    links      (E,) bool, which springs tie controllers
+    node_of    (M,) nearest node of each particle of the recording's structure
+    frames     how many frames were observed
+    """
+
+    recording: Observed
+    system: System
+    sightings: Sightings
+    spacing: float
+    links: np.ndarray
+    node_of: np.ndarray
+
+    @property
+    def name(self) -> str:
+        return self.recording.name
+
+    @property
+    def frames(self) -> int:
+        return len(self.sightings.position)
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """(n, 3) frame-0 positions [m]."""
+        return self.system.positions
+
+    def particles(self, nodes) -> list[int]:
+        """Indices of the recording's structure particles that the given nodes stand for."""
+        return np.flatnonzero(np.isin(self.node_of, np.asarray(list(nodes)))).tolist()
+
+
+def spread_out(points: np.ndarray, count: int, first: np.ndarray | None = None) -> np.ndarray:
+    """Indices of at most ``count`` of ``points`` (M, 3), each the farthest from those before it; ``first`` (K,) are taken in any case."""
+    chosen = list(np.asarray([0] if first is None or not len(first) else first))
+    distance = np.full(len(points), np.inf)
+    for index in chosen:
+        distance = np.minimum(distance, np.linalg.norm(points - points[index], axis=1))
+    while len(chosen) < min(count, len(points)) and distance.max() > 1e-6:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return np.array(chosen)
+
+
+def build_replica(recording: Observed, *, nodes: int, like: Replica | None = None) -> Replica:
+    """Draw a body of at most ``nodes`` nodes on a recording.
+
+    ``like`` is a replica of another recording of the object: nodes are then taken until they stand as close as its, so that both bodies
+    have particles of the same size and parameters mean the same, and places are told in its frame 0. Markers that are held (grips) are
+    nodes of their own.
+    """
+    from scipy.spatial import cKDTree
+
+    structure = recording.structure
+    held = np.unique(recording.grips[recording.grips >= 0])
+    chosen = spread_out(structure, nodes, held)
+    if like is not None:
+        chosen = chosen[: max(len(held), min(len(chosen), len(like.nodes)))]
+    positions, sightings = sight_nodes(recording.points, recording.visible, structure[chosen])
+    positions[: len(held)] = structure[held]  # a driven marker is where it is
+    own = like.spacing if like else _spacing(positions)
+    body = object_springs(positions, radius=REACH * own, max_neighbours=MOST)
+    body = _joined(positions, body)
+    hands = np.flatnonzero(recording.grips < 0)
+    ties = controller_springs(recording.controllers[0, hands], positions, radius=GRIP_REACH * own, max_neighbours=GRIP_MOST)
+    if len(hands) and not len(ties):
+        near = cKDTree(positions).query(recording.controllers[0, hands])[1]
+        ties = np.stack([np.arange(len(hands)), near], 1)
+    ties = ties.astype(int)
+    if len(ties):
+        ties[:, 0] = len(positions) + hands[ties[:, 0]]
+    grips = np.full(len(recording.grips), -1)
+    for c, point in enumerate(recording.grips):
+        if point >= 0:
+            grips[c] = int(np.searchsorted(held, point))
+    springs = np.concatenate([body, ties.reshape(-1, 2)])
+    lengths = _lengths(positions, recording.controllers[0], springs)
+    springs, ties_kept = springs[lengths > 1e-5], lengths > 1e-5
+    links = np.concatenate([np.zeros(len(body), bool), np.ones(len(ties), bool)])[ties_kept]
+    system = System(
+        positions=positions,
+        springs=springs,
+        stiffness=np.ones(len(springs)),
+        controllers=recording.controllers,
+        grips=grips,
+        velocities=_start_velocity(sightings, positions, recording.fps),
+        seen=sightings.position,
+        home=_home(recording, positions, like),
+        terms=(),
+        name=recording.name,
+    )
+    node_of = cKDTree(positions).query(structure)[1]
+    return Replica(recording, system, sightings, own, links, node_of)
+
+
+def _home(recording, positions, like):
+    """Where ``positions`` lie in the frame 0 of another recording."""
+    if like is None:
+        return positions
+    from scipy.spatial import cKDTree
+
+    def colors(one, points):
+        if one.colors is None:
+            return None
+        good = one.visible[0]
+        if not good.any():
+            return None
+        return one.colors[0, good][cKDTree(one.points[0, good]).query(points)[1]]
+
+    source = like.recording.structure
+    return material_coordinates(positions, source, colors=colors(recording, positions), reference_colors=colors(like.recording, source))
+
+
+def _spacing(positions):
+    from scipy.spatial import cKDTree
+
+    if len(positions) < 2:
+        return 0.01
+    return float(np.median(cKDTree(positions).query(positions, k=2)[0][:, 1]))
+
+
+def _joined(points, springs):
+    """``springs`` and the shortest ones that make the body a single piece."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    springs = np.asarray(springs, int).reshape(-1, 2)
+    while True:
+        graph = coo_matrix((np.ones(len(springs)), springs.T), shape=(len(points),) * 2)
+        pieces, label = connected_components(graph, directed=False)
+        if pieces == 1:
+            return springs
+        small = np.argmin(np.bincount(label))
+        inside, outside = np.flatnonzero(label == small), np.flatnonzero(label != small)
+        distance, near = cKDTree(points[outside]).query(points[inside])
+        order = np.argsort(distance)[:3]
+        springs = np.concatenate([springs, np.stack([inside[order], outside[near[order]]], 1)])
+
+
+def _lengths(points, controllers, springs):
+    both = np.concatenate([points, controllers])
+    return np.linalg.norm(both[springs[:, 0]] - both[springs[:, 1]], axis=1)
+
+
+def _start_velocity(sightings, positions, fps):
+    """(n, 3) m/s by a quadratic through the first seven frames, zero where it cannot be told from noise."""
+    span = min(7, len(sightings.position))
+    if span < 4:
+        return np.zeros_like(positions)
+    early = sightings.position[:span]
+    basis = np.stack([np.ones(span), np.arange(span) / fps, (np.arange(span) / fps) ** 2], 1)
+    inverse = np.linalg.pinv(basis)
+    velocity = np.einsum("t,tnc->nc", inverse[1], np.where(np.isfinite(early), early, np.nan))
+    error = sightings.noise * np.linalg.norm(inverse[1])
+    velocity[~np.isfinite(velocity)] = 0
+    fast = np.linalg.norm(velocity, axis=1)
+    if np.sqrt((fast**2).mean()) < STILL * error * np.sqrt(3):
+        return np.zeros_like(positions)
+    return velocity
+
+
+def with_terms(replica: Replica, terms) -> System:
+    """The replica's system with physics."""
+    return replace(replica.system, terms=tuple(terms))

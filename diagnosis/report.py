@@ -1,0 +1,116 @@
+"""The report of a diagnosis: one HTML file that needs nothing else, for readers who see the case for the first time."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import uuid
+from html import escape
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from .page import tables
+from .page.arrays import thin, view
+from .page.words import VERDICTS, headline, improvement
+
+__all__ = ["write_report"]
+
+LIMIT = 2_900_000  # bytes of a report: it travels by mail and opens at once
+LEAST = 100_000  # numbers that the views get however long the rest is
+BYTES = 2 * 4 / 3  # a number in the page: 16 bits in base64
+SCRIPTS = ("scene.js", "curve.js", "page.js")
+
+
+def write_report(result: dict, evidence: dict[str, np.ndarray], path: str | Path) -> None:
+    """Write the diagnosis ``result`` as one self-contained HTML file at ``path``, in one rename.
+
+    ``result`` is the content of ``diagnosis.json``; of it only ``verdict`` must be there. It is embedded whole, NaN and infinity as null.
+    Its ``evidence`` may hold ``hypotheses``, ``clusters``, ``noise_floor`` [m], ``notes``, ``recordings`` and ``curves`` [m per frame].
+
+    ``evidence`` holds the arrays of recording r, in the order of ``recordings``: ``observed_r`` (T, n, 3) m with NaN where unseen, and
+    where there are any ``baseline_r`` and ``extended_r`` (T, n, 3) m, ``force_r`` (T, n, 3) the inferred missing acceleration [m/s^2] and
+    ``controllers_r`` (T, c, 3) m; ``up`` (3,) a unit vector against gravity; ``ground`` (4,) the plane's unit normal and its offset [m].
+    Points and frames are thinned so that the file stays below 3 MB.
+
+    Raises ValueError where the verdict is unknown, an array has a wrong shape, or ``result`` holds what JSON cannot.
+    """
+    path = Path(path)
+    text = _page(_plain(result), evidence)
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        temporary.write_text(text, encoding="utf-8", errors="replace")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _page(result: dict, evidence: dict[str, np.ndarray]) -> str:
+    said = result.get("evidence") or {}
+    records = said.get("recordings") or []
+    names = [str(one.get("name")) for one in records if one.get("role") == "case"] or ["a recording"]
+    marked = list((result.get("where") or {}).get("points") or [])
+    marked += [point for one in said.get("clusters") or [] for point in one.get("points") or []]
+    views = [view(evidence, i, one, marked if one.get("role") == "case" else ()) for i, one in enumerate(records)]
+    script = "\n".join(["'use strict';", *map(_asset, SCRIPTS)])
+    parts = {
+        "title": escape(f"Diagnosis of {names[0]}"),
+        "policy": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        "style": _asset("page.css"),
+        "script": script,
+        "verdict": escape(VERDICTS.get(result.get("verdict"), "")),
+        "headline": escape(headline(result)),
+        "improvement": escape(improvement(result)),
+        "facts": tables.facts(result),
+        "clusters": tables.clusters(result),
+        "hypotheses": tables.hypotheses(result),
+        "fit": tables.fit(result),
+        "detectable": tables.detectable(result),
+        "experiment": escape(str(result.get("experiment") or "None is proposed.")),
+        "notes": tables.notes(result),
+        "result": _json(result),
+    }
+    frame = {"up": _vector(evidence, "up", 3), "ground": _vector(evidence, "ground", 4)}
+    room = LIMIT - sum(len(part.encode(errors="replace")) for part in parts.values())
+    parts["scene"] = _json({**frame, "recordings": thin(views, max(LEAST, int(room / BYTES)))})
+    return Template(_asset("page.html")).substitute(parts)
+
+
+def _asset(name: str) -> str:
+    return resources.files(f"{__package__}.page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _vector(evidence: dict, name: str, size: int) -> list[float] | None:
+    """``evidence[name]`` as a list of ``size`` numbers, or None where it is absent."""
+    if evidence.get(name) is None:
+        return None
+    vector = np.asarray(evidence[name], float)
+    if vector.shape != (size,) or not np.isfinite(vector).all():
+        raise ValueError(f"evidence {name} must be {size} finite numbers, got {vector.tolist()}")
+    return vector.tolist()
+
+
+def _plain(value):
+    """``value`` as JSON has it: numpy's numbers and arrays as Python's, NaN and infinity as None."""
+    if isinstance(value, dict):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    raise ValueError(f"a diagnosis holds numbers, text, lists and mappings; got {type(value).__name__}: {value!r}")
+
+
+def _json(value) -> str:
+    """JSON that may stand inside a script element: no text in it can end the element or begin a comment."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")

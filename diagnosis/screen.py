@@ -1,0 +1,173 @@
+"""The score test: what each hypothesis could explain of the innovations that no turn of the baseline's knobs can."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .fit import INDEPENDENT, Fit, Task, _huber
+from .hypotheses import STAGES_IN_ONE, Hypothesis
+from .model import Model
+
+__all__ = ["Part", "Score", "screen"]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Frames [first, last) of recording ``index`` in a task: what is fitted, or what is held out."""
+
+    name: str
+    index: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a hypothesis is worth in the linear neighbourhood of the baseline.
+
+    amplitude  (A,) estimated amplitudes, in the parameters' units
+    gains      by part, the share of the baseline's (re-fitted) squared innovation that it removes
+    kept       share of its own effect on the fitted part that the baseline cannot absorb
+    error      (A,) standard errors of the amplitudes
+    direction  (R,) its unabsorbed effect on the fitted part, normalised: two hypotheses that share it are told apart by nothing here
+    """
+
+    hypothesis: Hypothesis
+    amplitude: np.ndarray
+    gains: dict[str, float]
+    kept: float
+    error: np.ndarray
+    direction: np.ndarray
+
+
+def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Sequence[Part], *, carry=None) -> list[Score]:
+    """Score ``hypotheses`` at ``base``: amplitudes from the first of ``parts``, gains on all.
+
+    ``carry(values, recording index)`` translates values that speak of places on the first recording to another one.
+    """
+    carry = carry or (lambda values, index: values)
+    groups = defaultdict(list)
+    for h in hypotheses:
+        groups["one" if h.term.stage in STAGES_IN_ONE else h.term].append(h)
+    scores: list[Score] = []
+    nuisance = None
+    substeps = task.substeps(base.model, base.z)
+    for members in groups.values():
+        model = _with(base.model, {h.term for h in members})
+        off = {k.name: max(0.0, k.low) for h in members for k in h.knobs}
+        rows = [{**row, **off} for row in ([base.values] if nuisance is not None else [base.values, *_knob_rows(base)])]
+        steps = []
+        for h in members:
+            for knob in h.knobs:
+                sign = 1.0 if knob.high > 0 else -1.0
+                steps.append(sign * knob.step * knob.spread)
+                rows.append({**base.values, **off, **h.values, knob.name: steps[-1]})
+        residuals = _by_part(task, model, rows, parts, substeps, carry)
+        origin = [r[0] for r in residuals]
+        done = 1
+        if nuisance is None:
+            widths = _knob_widths(base)
+            done += len(widths)
+            nuisance = [_clean((r[1:done] - r[0]).T / widths) for r in residuals]
+        columns = [_clean((r[done:] - r[0]).T / np.array(steps)) for r in residuals]
+        at = 0
+        for h in members:
+            own = slice(at, at + len(h.knobs))
+            at += len(h.knobs)
+            scores.append(_score(h, origin, nuisance, [c[:, own] for c in columns], parts))
+    return scores
+
+
+def _with(model: Model, terms) -> Model:
+    """The model with more terms; one that moves particles or makes contacts takes the place of the one there is."""
+    kept = [t for t in model.terms if not any(t.stage == new.stage and t.stage in ("move", "contact") for new in terms)]
+    return Model((*kept, *sorted(terms - set(kept), key=lambda t: t.name)), model.values, model.knobs)
+
+
+def _knob_rows(base):
+    rows = []
+    for k, width in enumerate(_knob_widths(base)):
+        z = base.z.copy()
+        z[k] += width
+        rows.append(base.model.decode(z))
+    return rows
+
+
+def _knob_widths(base):
+    """Steps of the baseline's knobs, turned around at a bound."""
+    widths = []
+    for knob, u in zip(base.model.knobs, base.z, strict=True):
+        moved = abs(knob.decode(u + knob.step) - knob.decode(u)) > 1e-12
+        widths.append(knob.step if moved else -knob.step)
+    return np.array(widths)
+
+
+def _by_part(task, model, rows, parts, substeps, carry):
+    """Per part (B, R) weighted innovations, each part's weights normalised to 1."""
+    out = []
+    runs = {}
+    for part in parts:
+        if part.index not in runs:
+            simulator = task.simulators[part.index]
+            last = max(p.last for p in parts if p.index == part.index)
+            mine = [{**carry(row, part.index), "observer_bandwidth": task.bandwidth} for row in rows]
+            runs[part.index] = simulator.run(model.terms, mine, last, substeps=substeps[part.index])
+        simulator, found = task.simulators[part.index], runs[part.index]
+        seen = simulator.replica.sightings.position[part.first : part.last]
+        held = simulator.replica.system.grips
+        there = np.isfinite(seen[..., 0])
+        there[:, held[held >= 0]] = False
+        if part.first == 0:
+            there[0] = False
+        gap = np.where(there[None, ..., None], seen[None] - found[:, part.first : part.last], 0.0)
+        out.append((gap / np.sqrt(max(1, there.sum()))).reshape(len(rows), -1))
+    return out
+
+
+def _clean(columns):
+    """Columns that blew up explain nothing."""
+    columns = np.array(columns)
+    columns[:, ~np.isfinite(columns).all(0)] = 0.0
+    return columns
+
+
+def _score(h, origin, nuisance, columns, parts):
+    e, n, s = origin[0], nuisance[0], columns[0]
+    root = np.sqrt(_huber(e))[:, None]
+    e, n, s = e * root[:, 0], n * root, s * root
+    loss = float(e @ e)
+    spreads = np.array([k.spread for k in h.knobs])
+    ridge = loss / INDEPENDENT
+    a = s * spreads
+    plain = _ridge(n, e, ridge)
+    joined = _ridge(np.concatenate([n, a], 1), e, ridge, weak=a.shape[1])
+    shift, amplitude = joined[: n.shape[1]], joined[n.shape[1] :]
+    low = np.array([k.low for k in h.knobs])
+    if len(h.knobs) == 1 and low[0] >= 0 and amplitude[0] > 0 or len(h.knobs) == 1 and h.knobs[0].high <= 0 and amplitude[0] < 0:
+        # residual = y - x: a column is d(residual), so the estimate of an amplitude is the negative of its coefficient
+        shift, amplitude = plain, np.zeros(1)
+    gains = {}
+    for part, o, nn, ss in zip(parts, origin, nuisance, columns, strict=True):
+        before = o - nn @ plain
+        after = o - nn @ shift - (ss * spreads) @ amplitude
+        gains[part.name] = float(1 - (after @ after) / max(before @ before, 1e-300))
+    bare = a - n @ _ridge(n, a, ridge)
+    size = float((bare**2).sum())
+    kept = size / max(float((a**2).sum()), 1e-300)
+    information = bare.T @ bare + 1e-12 * np.eye(a.shape[1])
+    error = spreads * np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)) * loss / INDEPENDENT, 0))
+    effect = bare @ amplitude
+    direction = effect / max(np.linalg.norm(effect), 1e-300)
+    return Score(h, -amplitude * spreads, gains, kept, error, direction)
+
+
+def _ridge(a, b, ridge, weak=0):
+    """Least squares with a prior of one spread on every column, three on the last ``weak``."""
+    prior = np.full(a.shape[1], ridge)
+    if weak:
+        prior[-weak:] /= 9
+    return np.linalg.solve(a.T @ a + np.diag(prior + 1e-15), a.T @ b)

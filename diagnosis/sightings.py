@@ -1,0 +1,129 @@
+"""What was seen of each node of a coarse twin: tracks pooled by local rigid registration, their noise, and tracks that cannot be right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Sightings", "noise_of", "sight_nodes"]
+
+NEIGHBOURS = 12  # tracks that share a rigid motion from frame 0
+OUTLIER = 4.0  # robust standard deviations from the shared motion
+LOST = 0.5  # share of frames in which a track is an outlier that makes it a wrong track
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Where the nodes were seen.
+
+    position   (T, n, 3) m, NaN where a node was not seen
+    count      (T, n) tracks behind each
+    noise      m, standard deviation of one node's coordinate, white in time
+    misfit     (N,) m, median distance of each track from the motion it shares with its neighbours
+    wrong      (N,) bool: tracks that leave their neighbours for good (drift, swapped identities)
+    """
+
+    position: np.ndarray
+    count: np.ndarray
+    noise: float
+    misfit: np.ndarray
+    wrong: np.ndarray
+
+
+def noise_of(positions: np.ndarray) -> float:
+    """White noise [m] of one coordinate from third differences of (T, n, 3) tracks: a smooth motion leaves only noise in them.
+
+    The variance of a third difference of white noise is 1 + 9 + 9 + 1 = 20 times its own. The lower quartile of the nodes' robust
+    deviations is taken, so that fast motion and contacts do not count as noise.
+    """
+    third = np.diff(positions, 3, axis=0)
+    scale = np.nanmedian(np.abs(third), axis=0) / 0.6745 / np.sqrt(20) if len(third) else np.zeros((0, 3))
+    scale = scale[np.isfinite(scale)]
+    return float(np.quantile(scale, 0.25)) if scale.size else 0.0
+
+
+def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
+    """Pool tracks ``points`` (T, N, 3) [m], meaningless where not ``visible`` (T, N), at ``nodes`` (n, 3) of frame 0.
+
+    A track counts for its nearest node. Each node gets the rigid motion that best carries its neighbourhood from frame 0 (Kabsch), and its
+    position is where its own tracks say it is, their offsets turned along. Returns the nodes moved to the middle of their tracks, and
+    what was seen of them; a node without tracks stays and is never seen.
+    """
+    from scipy.spatial import cKDTree
+
+    points, visible = np.asarray(points, float), np.asarray(visible, bool)
+    frames, count = visible.shape
+    usable = np.flatnonzero(visible[0])
+    nodes = np.array(nodes, float)
+    home = points[0, usable]
+    owner = cKDTree(nodes).query(home)[1]
+    middle = np.stack([np.bincount(owner, home[:, c], len(nodes)) for c in range(3)], 1)
+    number = np.bincount(owner, minlength=len(nodes))
+    seen_nodes = number > 0
+    nodes[seen_nodes] = middle[seen_nodes] / number[seen_nodes, None]
+    track = np.where(visible[:, usable, None], points[:, usable], np.nan)
+    k = min(NEIGHBOURS, len(usable))
+    near = np.atleast_2d(cKDTree(home).query(home, k=k)[1].reshape(len(usable), -1))
+    residual = _shared_motion_residual(track, home, near)
+    scale = max(1e-6, float(np.nanmedian(residual)))
+    with np.errstate(invalid="ignore"):
+        bad = residual > OUTLIER * 1.4826 * scale + 1e-3
+    bad &= np.isfinite(residual)
+    later = slice(frames // 2, None)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = bad[later].sum(0) / np.maximum(1, np.isfinite(residual[later]).sum(0))
+    wrong = np.zeros(count, bool)
+    wrong[usable] = share > LOST
+    misfit = np.full(count, np.nan)
+    with np.errstate(all="ignore"):
+        misfit[usable] = np.where(np.isfinite(residual).any(0), np.nanmedian(np.where(np.isfinite(residual), residual, np.nan), axis=0), np.nan)
+    track = np.where(bad[..., None] if k > 3 else False, np.nan, track)
+    position, held = _pool(track, home, near, owner, nodes)
+    noise = noise_of(position)
+    return nodes, Sightings(position, held, noise, misfit, wrong)
+
+
+def _rotations(track, home, near):
+    """Rigid rotations (T, N, 3, 3) that carry each track's neighbourhood from frame 0, and its middles then and now; NaN tracks left out."""
+    now = track[:, near]  # (T, N, k, 3)
+    there = np.isfinite(now[..., 0])
+    weight = there / np.maximum(1, there.sum(-1, keepdims=True))
+    now = np.where(there[..., None], now, 0.0)
+    before = home[near]
+    mid_now = (weight[..., None] * now).sum(2)
+    mid_before = np.einsum("tnk,nkc->tnc", weight, before)
+    a = before[None] - mid_before[:, :, None]
+    b = (now - mid_now[:, :, None]) * weight[..., None]
+    covariance = np.einsum("tnkc,tnkd->tncd", a, b)
+    u, _s, vt = np.linalg.svd(covariance)
+    flip = np.sign(np.linalg.det(u) * np.linalg.det(vt))
+    vt[..., 2, :] *= np.where(flip == 0, 1, flip)[..., None]
+    return np.einsum("tncd,tnde->tnec", u, vt), mid_before, mid_now, there.sum(-1)
+
+
+def _shared_motion_residual(track, home, near):
+    """(T, N) distance of each track from where its neighbourhood's rigid motion puts it [m]; NaN where fewer than 4 tracks tell."""
+    rotation, before, now, number = _rotations(track, home, near)
+    predicted = np.einsum("tnec,tnc->tne", rotation, home[None] - before) + now
+    residual = np.linalg.norm(track - predicted, axis=-1)
+    return np.where(number >= 4, residual, np.nan)
+
+
+def _pool(track, home, near, owner, nodes):
+    """Positions (T, n, 3) of the nodes and how many tracks speak for each."""
+    if near.shape[1] >= 4:
+        rotation, _before, _now, _number = _rotations(track, home, near)
+        offset = np.einsum("tnec,nc->tne", rotation, nodes[owner] - home)
+    else:
+        offset = np.broadcast_to(nodes[owner] - home, track.shape)
+    guess = track + offset
+    there = np.isfinite(guess[..., 0])
+    guess = np.where(there[..., None], guess, 0.0)
+    frames, n = len(track), len(nodes)
+    flat = (np.arange(frames)[:, None] * n + owner).ravel()
+    held = np.bincount(flat, there.ravel(), frames * n).reshape(frames, n)
+    total = np.stack([np.bincount(flat, guess[..., c].ravel(), frames * n).reshape(frames, n) for c in range(3)], -1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        position = np.where(held[..., None] > 0, total / held[..., None], np.nan)
+    return position, held.astype(int)
