@@ -1,7 +1,8 @@
 """The adjoint kernel: the forward kernel's phases in reverse, from recorded states, with each law's derivative from ``wp.grad``.
 
 A force law F = T(l, l') d along a spring gives its ends opposite forces, so node i needs of each of its springs only w = g_i - g_o, the
-difference of the force adjoints at the two ends: another gather, without contention. The springs' phase of substep k and the node's own
+difference of the force adjoints at the two ends: another gather, without contention. Hinges and directors come before, in phases of their
+own, because a director's adjoint reaches the positions from which it was carried along. The springs' phase of substep k and the node's own
 phase of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
 
 What a spring remembers goes from q to E(l, l', q) in a substep. Its adjoint is kept at each end, and both ends find the same: that of q is
@@ -15,6 +16,7 @@ import warp as wp
 from .forward import node_functions, recalling, sighting
 from .native import barrier
 from .paths import give_path, give_speed, speed
+from .rods_back import make_back_rods
 
 __all__ = ["make_backward"]
 
@@ -23,8 +25,9 @@ def make_backward(kit):
     """The kernel that pulls ``a`` back through the ``w.count`` substeps recorded in ``w``, the first being ``begin`` after ``frame``."""
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
-    pa, ps, remembering = kit.vectors["axial"], kit.vectors["strand"], kit.remembering
-    load_axial, load_strand, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    pa, ps, remembering, hinged = kit.vectors["axial"], kit.vectors["strand"], kit.remembering, kit.hinged
+    load_axial, load_strand, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
     get_x, get_v, sum3, sum_axial, sum_strand, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.sum_strand, kit.give
     node, end, _inertia = node_functions(kit)
     back_move = _back_move(kit)
@@ -60,6 +63,7 @@ def make_backward(kit):
         width = blocks * wp.block_dim()
         p_axial = load_axial(w.table, b)
         p_strand = load_strand(w.table, b)
+        p_hinge = load_hinge(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
@@ -76,6 +80,17 @@ def make_backward(kit):
                 if k < count:
                     for i in range(lo + lane, hi, width):
                         back_contacts(w, a, k, i, frame, begin + k, substeps, dt, p_velocity, p_body, p_observer, p_contact)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            if wp.static(hinged):
+                if k < count and w.hinge_start[b + 1] > w.hinge_start[b]:
+                    for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
+                        back_bend(w, a, k, h, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                if w.segment_start[b + 1] > w.segment_start[b]:
+                    for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
+                        back_turn(w, a, k, s, count, p_hinge)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             for base in range(lo, hi, width // lanes):
@@ -126,6 +141,11 @@ def make_backward(kit):
                         give_strand(a.strand, i, gs)
                 gx += a.x[i]
                 gv += a.v[i]
+                if wp.static(hinged):
+                    hx, hv, later = regained(w, a, k, i, count)
+                    gx += hx
+                    gv += hv
+                    gx += later
                 step = begin + k
                 if k > 0 and step % substeps == 0:
                     gx += a.out[step // substeps - 1, i]
@@ -330,7 +350,18 @@ def _back_contacts(kit, back_push):
 
     @wp.func
     def back_contacts(
-        w: World, a: Adjoint, slot: int, i: int, frame: int, step: int, substeps: int, dt: R, p_velocity: pv, p_body: pb, p_observer: po, p: pc
+        w: World,
+        a: Adjoint,
+        slot: int,
+        i: int,
+        frame: int,
+        step: int,
+        substeps: int,
+        dt: R,
+        p_velocity: pv,
+        p_body: pb,
+        p_observer: po,
+        p: pc,
     ):
         """v_i' = v_i + mean_j J_ij / m_i, and J_ji = -J_ij: particle i collects its part in its own and its partners' sums."""
         x = get_x(w.state, slot * w.nodes + i)

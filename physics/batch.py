@@ -11,13 +11,14 @@ import numpy as np
 import torch
 import warp as wp
 
+from .hinges import assemble
 from .kernels import build
 from .laws import Laws
-from .march import Adjoint, Inputs, March, Stretch, World
+from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .stability import stable_substeps
 from .system import System
 
-__all__ = ["Batch", "Inputs", "Rollout", "first_bad"]
+__all__ = ["Batch", "Carried", "Inputs", "Rollout", "first_bad"]
 
 FAR = 1e3  # m: a particle this far from the origin has left any room; the roll-out counts as diverged
 HISTORY_BYTES = 1 << 30  # memory that the states of one stretch may take on the way back
@@ -82,7 +83,7 @@ class Batch:
         if not ((self.dt > 0) & (self.dt < np.inf)).all():
             raise ValueError(f"dt must be > 0 and finite [s], got {dt}")
         self.columns = self.laws.columns
-        self.colliding = bool(self.laws.stage("contact"))
+        self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
         self.remembering = bool(self.laws.stage("strand"))
         cuda = self.device.type == "cuda"
         self._device = "cpu" if not cuda else f"cuda:{self.device.index or 0}"
@@ -91,6 +92,8 @@ class Batch:
         self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
         self.kernels = build(self.laws, double, not cuda, self._team[2], self._team[1])
         self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
+        if self.twisting:
+            self.inputs.directors = settled(self, self.inputs)
 
     # ---------------------------------------------------------------- assembly
 
@@ -105,7 +108,7 @@ class Batch:
         count = int(start[-1])
         x, v, mass, home = np.zeros((count, 3)), np.zeros((count, 3)), np.ones(count), np.zeros((count, 3))
         driver, lead = np.full(count, -1), np.zeros(count)
-        ends, paths = [], []
+        ends, paths, indices = [], [], []
         for k, s in enumerate(systems):
             own = slice(start[k], start[k] + sizes[k])
             x[own], v[own], mass[own], home[own] = s.positions, s.velocities, s.masses, s.material
@@ -121,14 +124,16 @@ class Batch:
             driver[start[k] + sizes[k] + np.arange(len(hands[k]))] = path_start[k] + hands[k]
             lead[start[k] + sizes[k] : start[k + 1]] = 1
             ends.append(index[s.springs] + start[k])
+            indices.append(index + start[k])
             path = np.concatenate([s.controllers, np.repeat(s.controllers[-1:], frames - len(s.controllers), 0)])
             path[:, held] += s.positions[s.grips[held]] - s.controllers[0, held]  # a grip carries its particle along where it found it
             paths.append(path)
         ends = np.concatenate(ends).reshape(-1, 2)
         here, other = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
         spring = np.tile(np.arange(len(ends)), 2)
-        if not self.laws.stage("links"):  # without their term, controllers pull on nothing
-            kept = ~np.isin(np.arange(count), np.flatnonzero(lead))[np.stack([here, other])].any(0)
+        absent = (lead > 0) & (not self.laws.stage("links"))  # without their term, controllers pull on nothing
+        if absent.any():
+            kept = ~absent[np.stack([here, other])].any(0)
             here, other, spring = here[kept], other[kept], spring[kept]
         order = np.lexsort((other, here))  # own ends last; near ones together
         row = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=count))])
@@ -137,8 +142,12 @@ class Batch:
         self.starts, self.sizes = start, sizes
         integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
         self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()}
-        self.constants |= {"dt": self._real(self.dt), "home": self._real(home)}
+        bent, hinged = assemble(systems, indices, x, driver, absent)
+        real = {"dt": self.dt, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
+        self.constants |= {k: self._real(v) for k, v in real.items()} | {k: self._ints(v) for k, v in bent.items()}
+        self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
+        self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
         self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
         self.ends = self._ints(ends).long()
@@ -158,6 +167,7 @@ class Batch:
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
             memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
+            **{k: self._real(v) for k, v in hinged.items()},
         )
 
     def _watch(self, nodes):
@@ -206,23 +216,28 @@ class Batch:
         frames = self.frame_count if frames is None else _whole("frames", frames, 1)
         inputs = inputs or self.inputs
         with torch.no_grad():
-            out, _, _ = self.march(0, frames - 1, inputs)
+            out = self.march(0, frames - 1, inputs)[0]
             out = torch.cat([inputs.x[None], out])
         positions = self.split(out)
         return Rollout(positions, np.array([first_bad(p) for p in positions]))
 
+    @property
+    def twisting(self) -> bool:
+        """Whether ropes of this batch have directors that a law feels."""
+        return self.hinged and len(self.inputs.directors) > 0
+
     def march(self, frame: int, frames: int, inputs: Inputs | None = None, *, whole: bool = False):
         """Simulate ``frames`` frames from ``frame`` on: positions (frames, nodes, 3) at their ends and the final x and v (nodes, 3).
 
-        With ``whole`` also what springs remember at the end, which the next march starts from as ``inputs.memory`` (springs, strand terms).
+        With ``whole`` a ``Carried`` follows them: the rest of the state, to go on from there as if there had been no break.
         Differentiable with respect to every tensor of ``inputs``. A state is kept once a stretch and the rest recomputed on the way back.
         """
         frame, frames = _whole("frame", frame, 0), _whole("frames", frames, 0)
         inputs = inputs or self.inputs
         self._check(inputs)
         inputs = self.prepare(inputs)
-        found = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
-        return found if whole else found[:3]
+        out, x, v, memory, directors = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+        return (out, x, v, Carried(memory, directors)) if whole else (out, x, v)
 
     def prepare(self, inputs: Inputs) -> Inputs:
         """``inputs`` as the setup terms make them: a torch function, so gradients reach the parameters that it reads."""
@@ -256,6 +271,8 @@ class Batch:
             raise ValueError("gradients need the same number of substeps in every system of the batch")
         longest = substeps if self.colliding else max(1, frames * substeps)
         kept = self.node_count * (18 if self.colliding else 14)
+        if self.hinged:
+            kept += 3 * len(self.inputs.directors)
         if self.remembering:
             kept += len(self.constants["spring"]) * self.laws.memories
         room = max(1, HISTORY_BYTES // (kept * self.dtype.itemsize))

@@ -1,9 +1,10 @@
-"""The forward kernel. One substep: forces, velocity, contacts, move; see ``physics.terms.base`` for the order."""
+"""The forward kernel. One substep: hinges, forces, velocity, contacts, move, directors; see ``physics.terms.base`` for the order."""
 
 import warp as wp
 
 from .native import barrier
 from .paths import along, speed
+from .rods import make_rods
 
 __all__ = ["make_forward", "node_functions", "recalling", "sighting"]
 
@@ -78,7 +79,9 @@ def make_forward(kit):
     axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
     watching, observer = kit.watching, kit.laws.observer
     remembering, strand, evolve = kit.remembering, kit.laws.strand, kit.laws.evolve
-    load_axial, load_strand, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    load_axial, load_strand, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    hinged = kit.hinged
+    bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
     get_x, get_v, put, sum3 = kit.get_x, kit.get_v, kit.put, kit.sum3
     node, end, inertia = node_functions(kit)
     sighted = sighting(kit)
@@ -140,6 +143,7 @@ def make_forward(kit):
         width = blocks * wp.block_dim()
         p_axial = load_axial(w.table, b)
         p_strand = load_strand(w.table, b)
+        p_hinge = load_hinge(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
@@ -160,6 +164,12 @@ def make_forward(kit):
             here = k % slots
             there = (k + 1) % slots
             t = R(frame * substeps + step) * dt
+            if wp.static(hinged):
+                if w.hinge_start[b + 1] > w.hinge_start[b]:
+                    for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
+                        bend(w, here, h, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
             for base in range(lo, hi, width // lanes):
                 i = base + lane // lanes
                 if base > lo:
@@ -194,6 +204,8 @@ def make_forward(kit):
                     if wp.static(colliding) or record:
                         w.free[here, i] = v
                 else:
+                    if wp.static(hinged):
+                        f += bent(w, i)
                     f += body(x, v, w.home[i], m, p_body)
                     if wp.static(watching):
                         y, u, weight = sighted(w, i, frame, step, substeps, dt)
@@ -221,6 +233,12 @@ def make_forward(kit):
                         put(w.state, there * w.nodes + i, x2, v2)
                 round += 1
                 barrier(w.counters, team, blocks, round)
+            if wp.static(hinged):
+                if w.segment_start[b + 1] > w.segment_start[b]:
+                    for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
+                        turn(w, here, there, s, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
             if (step + 1) % substeps == 0:
                 for i in range(lo + lane, hi, width):
                     w.out[(step + 1) // substeps - 1, i] = get_x(w.state, there * w.nodes + i)

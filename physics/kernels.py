@@ -83,6 +83,8 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
     vec = wp.types.vector(3, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
+    pair = wp.types.vector(2, R)
+    vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
     get_x, get_v, put = state_access(R, vec)
     World, Adjoint = _structs(R, vec, vectors)
     return SimpleNamespace(
@@ -94,6 +96,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         laws=laws.fuse(),
         links=laws.start("links"),
         colliding=bool(laws.stage("contact")),
+        hinged=bool(laws.stage("hinge")),
         watching=bool(laws.stage("observer")),
         remembering=bool(laws.stage("strand")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
@@ -104,6 +107,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         sum_axial=lane_sum(vectors["axial"], laws.width("axial")),
         sum_strand=lane_sum(vectors["strand"], laws.width("strand")),
         give=adder(R, 0),
+        give_pair=adder(vectors["natural"], 2),
         give_all={s: adder(vectors[s], laws.width(s)) for s in STAGED},
     )
 
@@ -123,7 +127,8 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, pb, po, pv, pc, pm, pq = vectors.values()
+    pa, ps, ph, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pq, pair = vectors["memory"], vectors["natural"]
 
     @wp.struct
     class World:
@@ -154,6 +159,22 @@ def _structs(R, vec, vectors):
         met: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after contacts (only with contacts)
         hits: wp.array2d(dtype=wp.int32)  # (slots, nodes) contacts in the substep
         force: wp.array(dtype=vec)  # (nodes,) reactions left by lower ends
+        hinge_start: wp.array(dtype=wp.int32)  # (B+1,) first hinge of each system
+        joint: wp.array2d(dtype=wp.int32)  # (H, 3) nodes before, at and after; -1 where it is left out
+        sides: wp.array2d(dtype=wp.int32)  # (H, 2) segments with directors that it joins, or -1
+        hinge_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        hinge_of: wp.array(dtype=wp.int32)  # 3 hinge + place in it
+        natural: wp.array(dtype=pair)  # (H,) curvature
+        span: wp.array(dtype=R)  # (H,) m
+        flexure: wp.array(dtype=R)  # (H,)
+        moment: wp.array2d(dtype=vec)  # (H, 2) N, forces on the nodes before and after
+        segment_start: wp.array(dtype=wp.int32)  # (B+1,) first segment of each system
+        segment: wp.array2d(dtype=wp.int32)  # (S, 2) nodes from and to
+        ends: wp.array2d(dtype=wp.int32)  # (S, 2) hinge before and after, or -1
+        loose: wp.array(dtype=R)  # (S,) 1: free to roll, 0: held
+        directors: wp.array2d(dtype=vec)  # (slots, S)
+        turn_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        turn_of: wp.array(dtype=wp.int32)  # 4 segment + place among the nodes around it
         near_row: wp.array(dtype=wp.int32)  # (nodes+1,) first contact candidate
         near: wp.array(dtype=wp.int32)  # (candidates,)
         out: wp.array2d(dtype=vec)  # (frames, nodes) m, at the ends of the frames from the first on
@@ -170,6 +191,15 @@ def _structs(R, vec, vectors):
         stiffness: wp.array(dtype=R)
         mass: wp.array(dtype=R)
         path: wp.array2d(dtype=vec)
+        natural: wp.array(dtype=pair)  # (H,)
+        flexure: wp.array(dtype=R)
+        directors: wp.array(dtype=vec)  # (S,) in: at the stretch's end, out: at its start
+        bent: wp.array2d(dtype=vec)  # (H, 8) of a substep's hinge forces: its nodes' x, their v, its two directors
+        turned: wp.array3d(dtype=vec)  # (2, S, 11) of an even and an odd substep's roll: three directors, four nodes' x before and after
+        rolled_natural: wp.array(dtype=pair)  # (2 S,) by the roll: of the hinge before and the hinge after
+        rolled_flexure: wp.array(dtype=R)
+        hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient by forces
+        twist: wp.array(dtype=ph)  # (S,) and by rolls
         memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
         strand: wp.array(dtype=ps)

@@ -54,6 +54,7 @@ class Laws:
             axial=_axial(self),
             strand=_strand(self),
             evolve=_evolve(self),
+            hinge=_hinge(self),
             body=_body(self),
             observer=_observer(self),
             velocity=_velocity(self),
@@ -76,6 +77,24 @@ def _plus_axial(before, law, offset):
     @wp.func
     def total(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any):
         return before(length, rate, rest, stiffness, p) + law(length, rate, rest, stiffness, p, offset)
+
+    return total
+
+
+def _hinge(laws):
+    @wp.func
+    def total(kappa: Any, rate: Any, natural: Any, span: Any, p: Any):
+        return type(kappa)()
+
+    for term, offset in laws.stage("hinge"):
+        total = _plus_hinge(total, term.law, offset)
+    return total
+
+
+def _plus_hinge(before, law, offset):
+    @wp.func
+    def total(kappa: Any, rate: Any, natural: Any, span: Any, p: Any):
+        return before(kappa, rate, natural, span, p) + law(kappa, rate, natural, span, p, offset)
 
     return total
 

@@ -13,7 +13,7 @@ from torch.autograd.function import once_differentiable
 from .contacts import candidates
 from .terms.base import STAGED
 
-__all__ = ["Adjoint", "Inputs", "March", "Stretch", "World"]
+__all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
 
 
 @dataclass
@@ -21,7 +21,8 @@ class Inputs:
     """Everything continuous that a roll-out depends on, as tensors over the whole batch; any of them may require gradients.
 
     x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns),
-    memory (springs, strand terms, at least 1): what springs remember at the start, in the order of their terms
+    memory (springs, strand terms, at least 1): what springs remember at the start, in the order of their terms,
+    natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains
     """
 
     x: torch.Tensor
@@ -32,6 +33,21 @@ class Inputs:
     path: torch.Tensor
     table: torch.Tensor
     memory: torch.Tensor
+    natural: torch.Tensor
+    flexure: torch.Tensor
+    directors: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What a march passes on besides positions and velocities; ``replace(inputs, x=x, v=v, **vars(carried))`` goes on from there.
+
+    memory     (springs, strand terms, at least 1) of the springs
+    directors  (segments, 3) of the ropes
+    """
+
+    memory: torch.Tensor
+    directors: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -56,7 +72,8 @@ class Carrier:
         self.set(**tensors)
 
     def set(self, **tensors):
-        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen"}
+        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen", "moment"}
+        vectors |= {"directors", "bent", "turned"}
         for name, tensor in tensors.items():
             kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
             dtype = wp.int32 if tensor.dtype == torch.int32 else kind
@@ -69,9 +86,9 @@ class Carrier:
 
 
 class World(Carrier):
-    """The state of a batch in ``slots`` slots, starting at (x, v, memory), with ``near`` the contact candidates."""
+    """The state of a batch in ``slots`` slots, starting at (x, v, memory, directors), with ``near`` the contact candidates."""
 
-    def __init__(self, batch, values, x, v, memory, near, slots, out):
+    def __init__(self, batch, values, x, v, memory, directors, near, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -79,7 +96,9 @@ class World(Carrier):
 
         state = empty(slots, n, 8)
         state[0, :, 0:3], state[0, :, 4:7] = x, v
-        self.states, self.memory = state, memory
+        ways = empty(slots if batch.hinged else 1, *directors.shape)
+        ways[0] = directors
+        self.states, self.memory, self.ways = state, memory, ways
         ends = batch.constants["spring"].long()
         memories = empty(slots if batch.remembering else 0, len(ends), memory.shape[1])
         if batch.remembering:
@@ -95,7 +114,8 @@ class World(Carrier):
             dict(
                 **batch.constants,
                 **{k: values[k][ends] for k in ("rest", "stiffness")},
-                **{k: values[k] for k in ("mass", "path", "table")},
+                **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure")},
+                **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
                 **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(near_row=near_row, near=near, counters=counters),
@@ -104,7 +124,7 @@ class World(Carrier):
         self.struct.nodes = n
 
     def end(self, stretch: Stretch):
-        """(x, v, memory) at the end of a stretch."""
+        """(x, v, memory, directors) at the end of a stretch."""
         batch = self._batch
         slot = torch.as_tensor(stretch.count % self.slots, device=batch.device)
         node = torch.arange(batch.node_count, device=batch.device)
@@ -112,30 +132,39 @@ class World(Carrier):
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = self.memories[slot[batch.spring_system[batch.lower_spring]], batch.lower_end]
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory
+        segment = torch.arange(self.ways.shape[1], device=batch.device)
+        ways = self.ways[slot[batch.rope_system] % len(self.ways), segment]
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways
 
 
 class Adjoint(Carrier):
-    """Adjoints of a batch's state and inputs: ``x``, ``v`` and ``memory`` of the state at the end, ``out`` of the positions at the frames.
+    """Adjoints of a batch's state and inputs: ``x``, ``v``, ``memory``, ``directors`` at the end, ``out`` of the positions at the frames.
 
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, memory, out, wanted):
+    def __init__(self, batch, values, x, v, memory, directors, out, wanted):
         self.batch, self.memory = batch, memory
+        hinges, segments = len(values["flexure"]), len(directors)
 
-        def zeros(width):
-            return torch.zeros((batch.node_count, width), dtype=batch.dtype, device=batch.device)
+        def zeros(*width, count=batch.node_count):
+            return torch.zeros((count, *width), dtype=batch.dtype, device=batch.device)
 
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
-        stages = {s: zeros(batch.laws.width(s)) for s in STAGED}
-        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path")}
+        stages = {s: zeros(batch.laws.width(s), count=hinges if s == "hinge" else batch.node_count) for s in STAGED}
+        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure")}
+        rods = dict(bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2))
+        rods |= dict(twist=zeros(batch.laws.width("hinge"), count=segments))
+        rods |= dict(rolled_natural=zeros(2, count=2 * segments), rolled_flexure=zeros(count=2 * segments))
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
             dict(
                 **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), memory=memories, out=out, met=zeros(3)),
-                **dict(force=torch.stack([zeros(3)] * 2), links=zeros(1)[:, 0], **stages, **inputs),
+                **dict(force=torch.stack([zeros(3)] * 2), links=zeros(), directors=directors.contiguous().clone()),
+                **stages,
+                **inputs,
+                **rods,
             ),
         )
         for name in ("rest", "mass", "table"):
@@ -144,20 +173,34 @@ class Adjoint(Carrier):
     def gradients(self):
         """By input: the state's at the start, and everything else's summed over the whole way."""
         t, batch = self.tensors, self.batch
-        shares = torch.cat([t[s].reshape(batch.node_count, -1) for s in (*STAGED, "links")], 1)
+
+        def by_system(shares, starts):
+            return torch.stack([shares[a:b].sum(0) for a, b in pairwise(starts)])
+
+        nodal = [s for s in (*STAGED, "links") if s != "hinge"]
+        shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
+        parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
+        parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
-        table[:, : shares.shape[1]] = torch.stack([shares[a:b].sum(0) for a, b in pairwise(batch.starts)])
+        for stage, part in parts.items():
+            first = batch.laws.start(stage)
+            table[:, first : first + part.shape[1]] = part
+        ends = batch.constants["ends"].flatten().long()
+        for name in ("natural", "flexure"):
+            t[name].index_add_(0, ends.clamp(min=0), t[f"rolled_{name}"])  # that of no hinge is 0
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = t["memory"][batch.lower_end]
-        return {"x": t["x"], "v": t["v"], "memory": memory, "table": table, **{k: t[k] for k in ("mass", "rest", "stiffness", "path")}}
+        plain = ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors")
+        return {"memory": memory, "table": table, **{k: t[k] for k in plain}}
 
 
 class March(torch.autograd.Function):
     @staticmethod
     def forward(ctx, batch, frame, frames, *inputs):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
-        x, v, memory = values["x"], values["v"], values["memory"]
+        state = tuple(values[k] for k in ("x", "v", "memory", "directors"))
+        x = state[0]
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
         stretches = batch.stretches(frames, history=back)
@@ -165,26 +208,26 @@ class March(torch.autograd.Function):
         keep = back and len(stretches) == 1
         for stretch in stretches:
             if batch.colliding and stretch.begin == 0:
-                near = candidates(batch, x, values["table"])
-            world = World(batch, values, x, v, memory, near, stretch.history if keep else 2, out[stretch.frame :])
-            ctx.starts.append((x, v, memory, near))
+                near = candidates(batch, state[0], values["table"])
+            world = World(batch, values, *state, near, stretch.history if keep else 2, out[stretch.frame :])
+            ctx.starts.append((*state, near))
             batch.forward(world, frame, stretch)
-            x, v, memory = world.end(stretch)
+            state = world.end(stretch)
             if keep:
                 world.set(out=out.new_empty((0, *out.shape[1:])))  # an output that its own context held would never be freed
                 ctx.world = world
         ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
         ctx.batch, ctx.frame, ctx.stretches = batch, frame, stretches
-        return out, x, v, memory
+        return out, *state
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, g_out, g_x, g_v, g_memory):
+    def backward(ctx, g_out, *g_state):
         batch = ctx.batch
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), ctx.saved_tensors, strict=True)}
         given = g_out.contiguous()
         wanted = {f.name for f, needed in zip(fields(Inputs), ctx.needs_input_grad[3:], strict=True) if needed}
-        adjoint = Adjoint(batch, values, g_x, g_v, g_memory, given, wanted)
+        adjoint = Adjoint(batch, values, *g_state, given, wanted)
         scratch = torch.empty_like(g_out)
         for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             world = ctx.world
@@ -195,3 +238,34 @@ class March(torch.autograd.Function):
             batch.backward(world, adjoint, ctx.frame, stretch)
         gradients = adjoint.gradients()
         return (None, None, None, *(gradients[f.name] if f.name in wanted else None for f in fields(Inputs)))
+
+
+SETTLED = 1e-3  # of a director's change in ``ROUND`` substeps: at rest
+ROUND, ROUNDS = 100, 20
+STOPPED = 1e-9  # s: a clock that all but stands, so that directors relax and nothing else moves
+
+
+@torch.no_grad()
+def settled(batch, inputs: Inputs) -> torch.Tensor:
+    """(segments, 3) directors of ``inputs`` after their twist has come to rest in frame 0, positions being held. No gradients.
+
+    They are what the engine's own substeps make of them while the clock all but stands.
+    """
+    values = {k: t.detach().contiguous() for k, t in vars(batch.prepare(inputs)).items()}
+    x, v, memory, directors = (values[k] for k in ("x", "v", "memory", "directors"))
+    values["path"] = values["path"][:1].contiguous()
+    nobody = torch.zeros(batch.node_count + 1, dtype=torch.int32, device=batch.device)
+    stretch, one = Stretch(0, 0, np.full(len(batch.systems), ROUND)), torch.ones(len(batch.systems), dtype=x.dtype, device=x.device)
+    moving = one > 0
+    for _ in range(ROUNDS):
+        world = World(batch, values, x, torch.zeros_like(v), memory, directors, (nobody, nobody), 2, torch.empty_like(x[None]))
+        world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
+        batch.forward(world, 0, stretch)
+        relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[3], directors)
+        change = (relaxed - directors).abs().amax(1)
+        directors = relaxed
+        # each by itself, so that a batch is nothing but its systems
+        moving = moving & (torch.zeros_like(one).scatter_reduce(0, batch.rope_system, change, "amax") >= SETTLED)
+        if not moving.any():
+            break
+    return directors

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from .hinges import FOLD
 from .system import System
 
 __all__ = ["stable_step", "stable_substeps"]
@@ -21,6 +22,13 @@ def stable_step(system: System) -> float:
     makes a spring 1 + a + a s / (2 - s) times as stiff at that limit (where z = -1), and s / (2 - s) = tanh(dt / (2 tau)). The bound holds
     for stretched springs too (the law is linear and the transverse stiffness of a spring in tension stays below Y / L0); strong compression
     and fast rotation with dashpots are not in it.
+
+    A hinge with moments M_k = S_k kappa_k adds the blocks sum_k S_k g_ki g_kj' to K, where g_ki is the gradient of kappa_k at node i. Those
+    of the two curvatures are perpendicular to each other, so a block's norm is below the larger S |g_i| |g_j|, and node i's row sum below
+    S |g_i| sum_j |g_j| over free nodes j; with twist, whose gradient is another, a second such sum is added. C is alike with the moments
+    per rate. Near a straight shape |g| = 1 / l of its segment for the outer nodes and their sum for the middle one; at an angle a it is
+    larger by 1 / cos^2(a / 2), and that of twist is |kb| / (2 l). What a bent hinge's moment adds by turning (M times the second
+    derivative of kappa) is not in it: it is none in the natural shape.
     """
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
     free[system.particle_count :] = False
@@ -31,6 +39,8 @@ def stable_step(system: System) -> float:
         times = 1 + free[other]
         np.add.at(stiffness, end, times * system.stiffness / system.rest)
         np.add.at(damping, end, times * dashpot)
+    for own, total in zip((stiffness, damping), _hinge_rows(system, free), strict=True):
+        own += total
     inside = np.flatnonzero(free)
     if not len(inside):
         return math.inf
@@ -46,6 +56,37 @@ def stable_step(system: System) -> float:
         return limit(1.0)
     # the branch relaxes less in the substep that it leaves than in a longer one, so this does not overestimate either
     return limit(1 + branch * (1 + math.tanh(limit(1 + branch) / (2 * system.values["relaxation_time"]))))
+
+
+def _hinge_rows(system, free):
+    """Row sums (2, nodes) of the hinges' stiffness [N/m] and damping [N s/m]."""
+    found = np.zeros((2, len(free)))
+    terms = [t for t in system.terms if t.stage == "hinge"]
+    if not terms or not len(system.hinges):
+        return found
+    hands = np.arange(len(system.grips)) + system.particle_count
+    index = np.concatenate([np.arange(system.particle_count), np.where(system.grips < 0, hands, system.grips)])
+    joined, nodes = index[system.hinges], np.concatenate([system.positions, system.controllers[0]])
+    segments = np.diff(nodes[system.hinges], axis=1)
+    length = np.linalg.norm(segments, axis=2)
+    cosine = (segments[:, 0] * segments[:, 1]).sum(1) / length.prod(1)
+    fold = np.maximum(1 + cosine, FOLD)
+    reach = np.stack([1 / length[:, 0], (1 / length).sum(1), 1 / length[:, 1]], 1)  # (H, 3) 1/m, by node
+    bends = reach * (2 / fold)[:, None]  # 1 / cos^2(a / 2) = 2 / (1 + cos a)
+    twists = reach * (np.sqrt(np.maximum(1 - cosine**2, 0)) / fold)[:, None]  # |kb| / 2 = sin a / (1 + cos a)
+    still, span = np.zeros((len(length), 3)), system.span[:, None]
+
+    def moments(kappa, rate):
+        return sum(t.twin(kappa, rate, still, span, **t.values) for t in terms) * system.flexure[:, None]
+
+    for which in (0, 1):  # what a unit of each curvature, then of each rate, does to its moment: laws are linear, or taken so
+        ones = [[still, still] for _ in range(3)]
+        for k in range(3):
+            ones[k][which] = still + np.eye(3)[k]
+        per = np.abs([moments(*ones[k])[:, k] - moments(still, still)[:, k] for k in range(3)])
+        for strength, g in ((per[:2].max(0), bends), (per[2], twists)):
+            np.add.at(found[which], joined, strength[:, None] * g * (g * free[joined]).sum(1, keepdims=True))
+    return found
 
 
 def stable_substeps(systems, frame_seconds: float, *, safety: float = 0.5, least: int = 10) -> int:

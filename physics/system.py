@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datasets.collection import nearest
+from .hinges import Ropes
 from .terms.base import STAGES, Term
 
 __all__ = ["System"]
@@ -27,6 +28,11 @@ class System:
     grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
     terms        the physics, each name and each parameter name once
     home         (M, 3) m, where particles were in the frame 0 that parameters speak of, if that is another recording's; the start unless given
+    hinges       (H, 3) int: nodes in a row (before, at, after), numbered like those of springs; only hinge terms read what follows
+    natural      (H, 2) curvature 2 tan(angle / 2) that they want about the two axes of the rope; 0 unless given (``physics.hinges``)
+    span         (H,) m, the length of body that each stands for; half of its two segments at the start unless given
+    flexure      (H,) stiffness relative to the terms'; 1 unless given
+    chains       arrays of nodes in order, each a rope, or a ring where the last is the first: hinges along them twist as well
     seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
     """
@@ -40,6 +46,11 @@ class System:
     masses: np.ndarray | None = None
     rest: np.ndarray | None = None
     grips: np.ndarray | None = None
+    hinges: np.ndarray | None = None
+    natural: np.ndarray | None = None
+    span: np.ndarray | None = None
+    flexure: np.ndarray | None = None
+    chains: tuple[np.ndarray, ...] = ()
     home: np.ndarray | None = None
     seen: np.ndarray | None = None
     sight: np.ndarray | None = None
@@ -92,9 +103,52 @@ class System:
         refuse(self.stiffness < 0, lambda e: f"spring stiffness must be >= 0 [N], got {self.stiffness[e]} at spring {e}")
         own("rest", len(springs), default=self.lengths())
         refuse(self.rest <= 0, lambda e: f"spring rest length must be > 0 [m], got {self.rest[e]} at spring {e}, {springs[e].tolist()}")
-
+        own("hinges", "H", 3, whole=True, default=np.zeros((0, 3)))
+        own("natural", len(self.hinges), 2, default=np.zeros((len(self.hinges), 2)))
+        self._own_chains(nodes, known)
+        self._check_hinges(nodes, known, refuse)
+        own("span", len(self.hinges), default=self._spans())
+        refuse(self.span <= 0, lambda h: f"hinge span must be > 0 [m], got {self.span[h]} at hinge {h}, {self.hinges[h].tolist()}")
+        own("flexure", len(self.hinges), default=np.ones(len(self.hinges)))
+        refuse(self.flexure < 0, lambda h: f"hinge flexure must be >= 0, got {self.flexure[h]} at hinge {h}, {self.hinges[h].tolist()}")
         if self.seen is not None:
             self._own_sightings(count)
+
+    def _own_chains(self, nodes, known):
+        """Read-only copies; a chain is a walk, and no segment is walked twice."""
+        if isinstance(self.chains, np.ndarray) or not isinstance(self.chains, Iterable):
+            raise ValueError(f"chains must be a list of arrays of nodes, got {type(self.chains).__name__}")
+        chains = tuple(_array(f"chains[{k}]", chain, ("N",), True) for k, chain in enumerate(self.chains))
+        walked = set()
+        for k, chain in enumerate(chains):
+            if len(chain) < 2:
+                raise ValueError(f"a chain must have at least 2 nodes, got {len(chain)} in chain {k}")
+            if (chain < 0).any() or (chain >= len(nodes)).any():
+                raise ValueError(f"chains must hold nodes {known}, got {int(chain[(chain < 0) | (chain >= len(nodes))][0])} in chain {k}")
+            for a, b in zip(nodes[chain[:-1]].tolist(), nodes[chain[1:]].tolist(), strict=True):
+                if a == b or (a, b) in walked:
+                    rule = "not stay at a node" if a == b else "walk each segment once"
+                    raise ValueError(f"chains must {rule}, got [{a}, {b}] again in chain {k}")
+                walked |= {(a, b), (b, a)}
+        object.__setattr__(self, "chains", chains)
+
+    def _check_hinges(self, nodes, known, refuse):
+        hinges = self.hinges
+        outside = ((hinges < 0) | (hinges >= len(nodes))).any(1)
+        refuse(outside, lambda h: f"hinges must join nodes {known}, got {hinges[h].tolist()} at hinge {h}")
+        a, b, c = nodes[hinges].reshape(-1, 3).T
+        refuse((a == b) | (b == c) | (c == a), lambda h: f"hinges must join three different nodes, got {hinges[h].tolist()} at hinge {h}")
+        _, first, times = np.unique(np.stack([np.minimum(a, c), b, np.maximum(a, c)], 1), axis=0, return_index=True, return_counts=True)
+        twice = np.isin(np.arange(len(hinges)), first[times > 1])
+        refuse(twice, lambda h: f"hinges must each be listed once, got {hinges[h].tolist()} at hinge {h} and again")
+        ropes = Ropes.of([nodes[chain] for chain in self.chains])
+        back = ropes.sides(nodes[hinges].reshape(-1, 3)[:, ::-1])[:, 0] >= 0
+        refuse(back, lambda h: f"hinges must run the way of their chain, got {hinges[h].tolist()} at hinge {h}, which runs back")
+
+    def _spans(self):
+        """(H,) half the present length of each hinge's two segments [m]."""
+        nodes = np.concatenate([self.positions, self.controllers[0]])[self.hinges]
+        return np.linalg.norm(np.diff(nodes, axis=1), axis=2).sum(1) / 2
 
     def _own_sightings(self, count):
         seen = np.asarray(self.seen, float)

@@ -1,10 +1,10 @@
-"""Which particles are tied by springs: sparse neighbour searches in the published order."""
+"""Which particles are tied by springs (sparse neighbour searches in the published order), and which three in a row bend."""
 
 from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["controller_springs", "object_springs"]
+__all__ = ["controller_springs", "object_springs", "rope_hinges", "sheet_hinges"]
 
 
 def object_springs(points, *, radius: float, max_neighbours: int) -> np.ndarray:
@@ -36,6 +36,53 @@ def controller_springs(controllers, points, *, radius: float, max_neighbours: in
         return np.zeros((0, 2), np.int32)
     first, second, _ = _hits(controllers, points, radius, max_neighbours)
     return np.stack([first, second], 1).astype(np.int32)
+
+
+def rope_hinges(chain) -> np.ndarray:
+    """Hinges (H, 3) of the nodes ``chain`` (N,) in order: every three that follow each other, around the end too where it is the first.
+
+    >>> rope_hinges([4, 7, 8, 9]).tolist()
+    [[4, 7, 8], [7, 8, 9]]
+    """
+    chain = np.asarray(chain, np.int64)
+    if chain.ndim != 1 or len(chain) < 2:
+        raise ValueError(f"chain must have shape (N,) with N >= 2, got {chain.shape}")
+    if len(chain) > 3 and chain[0] == chain[-1]:
+        chain = np.append(chain, chain[1])
+    return np.stack([chain[:-2], chain[1:-1], chain[2:]], 1)
+
+
+def sheet_hinges(points, springs, *, straight: float = 25.0, most: int = 3) -> np.ndarray:
+    """Hinges (H, 3) across the particles of a sheet or solid: two neighbours that lie nearly opposite each other.
+
+    points    (M, 3) m, in the shape in which straightness is meant
+    springs   (E, 2) whose ends are neighbours; those that lead to no particle do not count
+    straight  degrees from straight that a hinge may have
+    most      hinges that a particle may be the middle of; the straightest come first, and a neighbour is in one of them
+    """
+    points, springs = _points("points", points), np.asarray(springs, np.int64).reshape(-1, 2)
+    if not 0 < straight < 90:
+        raise ValueError(f"straight must lie in (0, 90) degrees, got {straight}")
+    ends = np.sort(springs[(springs < len(points)).all(1)], axis=1)
+    ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+    both = np.concatenate([ends, ends[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    row = np.searchsorted(both[:, 0], np.arange(len(points) + 1))
+    found = []
+    for i in range(len(points)):
+        others = both[row[i] : row[i + 1], 1]
+        away = points[others] - points[i]
+        away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        cosine = away @ away.T
+        first, second = np.nonzero(np.triu(cosine < -np.cos(np.radians(straight)), 1))
+        used = set()
+        # equally straight ones in the order of their particles: the same on every machine, whatever the last bit
+        for k in np.lexsort((second, first, np.round(cosine[first, second], 9))):
+            pair = {int(first[k]), int(second[k])}
+            if len(used) < 2 * most and not pair & used:
+                used |= pair
+                found.append((others[first[k]], i, others[second[k]]))
+    return np.array(found, np.int64).reshape(-1, 3)
 
 
 def _hits(queries, points, radius, count, *, drop_first=False):

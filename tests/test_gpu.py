@@ -23,7 +23,7 @@ def systems(count, collide, remember=False):
     from twinbench.physics.terms.plasticity import Plasticity
     from twinbench.physics.terms.viscoelastic import Viscoelastic
 
-    made = [block(150 + 40 * k, 10, frames=4, seed=k) for k in range(count)]
+    made = [hinged(block(150 + 40 * k, 10, frames=4, seed=k)) for k in range(count)]
     if collide:
         made = [replace(s, terms=(*s.terms, SelfCollision({"collision_dist": 0.006}))) for s in made]
     if remember:
@@ -33,12 +33,25 @@ def systems(count, collide, remember=False):
     return made
 
 
+def hinged(body):
+    """``body`` with a rope through it, and hinges that follow no rope."""
+    from twinbench.physics.terms import Bending, BendingDamping, Torsion
+    from twinbench.physics.topology import rope_hinges, sheet_hinges
+
+    chain = np.lexsort(np.round(body.positions, 3).T)[:6]
+    hinges = np.concatenate([rope_hinges(chain), sheet_hinges(body.positions, body.springs)])
+    hinges = hinges[np.sort(np.unique(np.sort(hinges, axis=1), axis=0, return_index=True)[1])]
+    laws = (Bending({"bending_stiffness": 1e-4}), BendingDamping({"bending_damping": 1e-7}), Torsion({"torsion_stiffness": 1e-4}))
+    return replace(body, hinges=hinges, chains=[chain], terms=(*body.terms, *laws))
+
+
 def march(made, device, *, double, team=None):
     from twinbench.physics.batch import Batch, Inputs
 
     batch = Batch(made, fps=100, substeps=40, dt=5e-5, device=device, double=double, team=team)
     inputs = Inputs(**{f.name: getattr(batch.inputs, f.name).clone().requires_grad_() for f in fields(Inputs)})
-    out, x, v, memory = batch.march(0, 3, inputs, whole=True)
+    out, x, v, carried = batch.march(0, 3, inputs, whole=True)
+    memory = carried.memory
     weight = np.random.default_rng(0).normal(size=tuple(out.shape))
     loss = (out * out.new_tensor(weight)).sum() + (x**2).sum() + (v**2).sum() + memory.sum()
     loss.backward()

@@ -123,7 +123,7 @@ def test_bare_systems_beside_others():
     # no springs, no controllers, a single particle: nothing to gather, nothing to follow
     full = make(AIR, 0)
     bare = replace(full, springs=np.zeros((0, 2)), stiffness=[], rest=[], controllers=np.zeros((1, 0, 3)), grips=None)
-    one = replace(bare, positions=[[0.0, 0, -1]], velocities=None, masses=None)
+    one = replace(bare, positions=[[0.0, 0, -1]], velocities=None, masses=None, home=None)
     systems = [bare, full, one]
     assert equal(roll(systems)[0], [roll([s])[0][0] for s in systems])
 

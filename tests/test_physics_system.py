@@ -134,6 +134,48 @@ def test_values(text, given):
     refused(text, **given)
 
 
+ROPE = dict(hinges=[[0, 1, 2], [1, 2, 3]], chains=[[0, 1, 2, 3]])
+
+
+def test_hinges_have_the_stated_defaults():
+    system = System(**good(**ROPE))
+    np.testing.assert_array_equal(system.natural, np.zeros((2, 2)))
+    np.testing.assert_array_equal(system.flexure, 1)
+    np.testing.assert_allclose(system.span, 0.1, rtol=1e-15)
+    assert System(**good()).hinges.shape == (0, 3) and System(**good()).chains == ()
+    # through controller 0, which grips particle 0, and to controller 1 at 0.4: the lengths of two segments each
+    np.testing.assert_allclose(System(**good(hinges=[[4, 1, 3], [1, 2, 5]])).span, [0.15, 0.15], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "given"),
+    [
+        ("hinges must have shape (H, 3), got (2, 2)", dict(hinges=[[0, 1], [1, 2]])),
+        ("hinges must be whole numbers, got 0.5 at [0, 1]", dict(hinges=[[0, 0.5, 2]])),
+        (
+            "hinges must join nodes 0 to 3 for particles or 4 to 5 for controllers, got [1, 2, 6] at hinge 1",
+            dict(hinges=[[0, 1, 2], [1, 2, 6]]),
+        ),
+        ("hinges must join three different nodes, got [1, 2, 1] at hinge 0", dict(hinges=[[1, 2, 1]])),
+        ("hinges must join three different nodes, got [0, 1, 4] at hinge 0", dict(hinges=[[0, 1, 4]])),  # 4 grips 0
+        ("hinges must each be listed once, got [0, 1, 2] at hinge 0 and again", dict(hinges=[[0, 1, 2], [2, 1, 0]])),
+        ("hinges must run the way of their chain, got [3, 2, 1] at hinge 1", {**ROPE, "hinges": [[0, 1, 2], [3, 2, 1]]}),
+        ("natural must have shape (2, 2), got (2,)", {**ROPE, "natural": [0.1, 0.2]}),
+        ("natural must be finite, got nan at [1, 0]", {**ROPE, "natural": [[0, 0], [np.nan, 0]]}),
+        ("hinge span must be > 0 [m], got 0.0 at hinge 1, [1, 2, 3]", {**ROPE, "span": [0.1, 0.0]}),
+        ("hinge flexure must be >= 0, got -1.0 at hinge 0, [0, 1, 2]", {**ROPE, "flexure": [-1.0, 1.0]}),
+        ("chains must be a list of arrays of nodes, got ndarray", dict(chains=np.array([0, 1]))),
+        ("chains[0] must have shape (N,), got ()", dict(chains=[0, 1])),
+        ("a chain must have at least 2 nodes, got 1 in chain 1", dict(chains=[[0, 1], [2]])),
+        ("chains must hold nodes 0 to 3 for particles or 4 to 5 for controllers, got 9 in chain 0", dict(chains=[[0, 9]])),
+        ("chains must not stay at a node, got [1, 1] again in chain 0", dict(chains=[[0, 1, 1]])),
+        ("chains must walk each segment once, got [2, 1] again in chain 1", dict(chains=[[0, 1, 2], [2, 1]])),
+    ],
+)
+def test_hinges_and_chains(text, given):
+    refused(text, **given)
+
+
 def test_springs_know_when_there_are_no_controllers():
     given = dict(controllers=np.zeros((1, 0, 3)), grips=None)
     refused("springs must tie nodes 0 to 3 for particles, got [5, 3] at spring 3", **given)
@@ -199,7 +241,7 @@ class Touch(Term):
         ("terms must be a list of terms, got None", None),
         ("terms must each be listed once, got springs 2 times", [Springs(), Gravity(), Springs()]),
         ("parameter names must be unique in a system, got gravity_x in both gravity and wind", [Gravity(), Wind()]),
-        ("term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, body", [Misplaced()]),
+        ("term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, hinge, body", [Misplaced()]),
     ],
 )
 def test_terms(text, terms):
@@ -286,7 +328,7 @@ def test_frames_of_a_roll_out_are_not_negative():
 
 @pytest.mark.parametrize("name", [f.name for f in fields(Inputs)])
 def test_inputs_that_the_kernels_would_read_past_are_refused(name):
-    batch = Batch([System(**good())], fps=30, substeps=10)
+    batch = Batch([System(**good(**ROPE))], fps=30, substeps=10)
     own = getattr(batch.inputs, name)
     short = own[:, :-1] if name == "path" else own[:-1]
     for wrong in (short, own.double()):

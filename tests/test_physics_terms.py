@@ -22,6 +22,7 @@ SAMPLES, OFFSET = 500, 2  # the term's parameters do not come first in their sta
 INPUTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
     "strand": ("length", "rate", "rest", "stiffness", "link", "middle", "t", "q"),
+    "hinge": ("kappa", "rate", "natural", "span"),
     "body": ("x", "v", "home", "m"),
     "observer": ("x", "v", "home", "y", "u", "m"),
     "velocity": ("v", "dt"),
@@ -131,6 +132,10 @@ def kernel_of(term, stage):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
 
+    def hinge(a: A, b: A, c: A, d: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
     def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], p[i], wp.static(OFFSET))
@@ -161,7 +166,8 @@ def kernel_of(term, stage):
         out[i] = x
         out2[i] = v
 
-    stages = dict(axial=axial, strand=strand, evolve=evolve, body=body, observer=observer, velocity=velocity, contact=contact, move=move)
+    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, body=body)
+    stages |= dict(observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[stage], module="unique", enable_backward=False), P
 
 
@@ -187,6 +193,8 @@ def random_inputs(stage, rng):
         return [*spring, rng.integers(0, 2, SAMPLES) * 1.0, x[0], positive[3], v[0, :, 0]] if stage == "strand" else spring
     if stage == "contact":
         return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
+    if stage == "hinge":
+        return [x[0], v[0], x[1] * [1.0, 1.0, 0.0], 0.1 * positive[0]]
     if stage in ("body", "observer"):
         return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
     return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]
@@ -348,14 +356,25 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    assert Laws(()).columns == ["_axial", "_strand", "_body", "_observer", "_velocity", "_contact", "_move", "_links", "_setup"]
-    air = ["dashpot_damping", "_strand", *gravity, "_observer", "drag_damping", "_contact", *ground, "controller_velocity", "_setup"]
+    first = ["_axial", "_strand", "_hinge", "_body", "_observer", "_velocity"]
+    assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
+    air = [
+        "dashpot_damping",
+        "_strand",
+        "_hinge",
+        *gravity,
+        "_observer",
+        "drag_damping",
+        "_contact",
+        *ground,
+        "controller_velocity",
+        "_setup",
+    ]
     assert Laws(AIR).columns == air
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
-    before = ["_axial", "_strand", "_body", "_observer", "_velocity"]
-    assert Laws((SelfCollision, Springs)).columns == [*before, *contact, "_move", "_links", "_setup"]
-    assert Laws((Wind, Hardening, Gravity)).columns[:8] == ["cubic", "square", "_strand", "wind_x", "wind_y", *gravity]
-    assert Laws((Count, Wind, Stir)).columns[:6] == ["_axial", "count", "stir", "stir_link", "wind_x", "wind_y"]
+    assert Laws((SelfCollision, Springs)).columns == [*first, *contact, "_move", "_links", "_setup"]
+    assert Laws((Wind, Hardening, Gravity)).columns[:9] == ["cubic", "square", "_strand", "_hinge", "wind_x", "wind_y", *gravity]
+    assert Laws((Count, Wind, Stir)).columns[:7] == ["_axial", "count", "stir", "stir_link", "_hinge", "wind_x", "wind_y"]
 
 
 NEW = [(Wind, Hardening, Gravity, Brake), (Count, Springs, Stir), (Dashpot, Springs, Hardening)]
@@ -434,7 +453,8 @@ def test_fused_laws_are_the_twins_in_order(name):
         systems.append(thrown([t.with_values(dashpot_damping=3.0) if t.name == "dashpot" else t for t in terms], seed))
     dt, count = 5e-3, 40
     batch = Batch(systems, fps=1 / dt, substeps=1, dt=dt, double=True, workers=1)
-    _, x, v, memory = batch.march(0, count, whole=True)
+    _, x, v, carried = batch.march(0, count, whole=True)
+    memory = carried.memory
     memories = memory.split([len(s.springs) for s in systems])
     for system, x_found, v_found, memory_found in zip(systems, batch.split(x), batch.split(v), memories, strict=True):
         x, v, memory = system.positions, system.velocities, np.zeros(memory_found.shape)

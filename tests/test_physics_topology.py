@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from twinbench.physics.topology import controller_springs, object_springs
+from twinbench.physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 
 NONE = np.zeros((0, 2), int)
 
@@ -175,3 +175,53 @@ def test_memory_grows_with_springs_and_not_with_pairs():
     tracemalloc.stop()
     assert len(springs) > 50_000
     assert peak < 100e6
+
+
+# ---------------------------------------------------------------- hinges
+
+
+def test_hinges_of_a_rope_and_of_a_ring():
+    assert rope_hinges([4, 7, 8, 9]).tolist() == [[4, 7, 8], [7, 8, 9]]
+    assert rope_hinges([4, 7]).shape == (0, 3)
+    assert rope_hinges([0, 1, 2, 0]).tolist() == [[0, 1, 2], [1, 2, 0], [2, 0, 1]]
+    with pytest.raises(ValueError, match=r"chain must have shape \(N,\) with N >= 2, got \(1,\)"):
+        rope_hinges([3])
+
+
+def lattice(shape, spacing=0.01):
+    grid = np.stack(np.meshgrid(*(np.arange(n) * spacing for n in shape), indexing="ij"), -1)
+    return np.concatenate([grid.reshape(-1, len(shape)), np.zeros((np.prod(shape), 3 - len(shape)))], 1)
+
+
+@pytest.mark.parametrize("shape", [(7,), (5, 6), (4, 3, 5)])
+def test_hinges_of_a_lattice_are_its_straight_triples(shape):
+    # n - 2 along each line of each axis
+    points = lattice(shape)
+    hinges = sheet_hinges(points, object_springs(points, radius=0.0101, max_neighbours=30))
+    assert len(hinges) == sum(np.prod(shape) // n * (n - 2) for n in shape)
+    a, b, c = points[hinges].transpose(1, 0, 2)
+    np.testing.assert_allclose(a + c, 2 * b, atol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6), st.integers(0, 40), st.floats(5, 60), st.integers(1, 4))
+def test_properties_of_sheet_hinges(seed, count, straight, most):
+    rng = np.random.default_rng(seed)
+    points = rng.random((count, 3)) * [0.1, 0.1, 0.02]
+    springs = object_springs(points, radius=0.05, max_neighbours=12)
+    hinges = sheet_hinges(points, np.concatenate([springs, [[count, 0]]]), straight=straight, most=most)  # one to a controller
+    tied = {frozenset(s) for s in springs.tolist()}
+    for a, b, c in hinges.tolist():
+        assert {frozenset((a, b)), frozenset((b, c))} <= tied and a != c
+        u, v = points[b] - points[a], points[c] - points[b]
+        assert np.degrees(np.arccos(np.clip(u @ v / np.linalg.norm(u) / np.linalg.norm(v), -1, 1))) < straight + 0.01  # float32 positions
+    assert np.bincount(hinges[:, 1], minlength=1).max() <= most
+    for b in set(hinges[:, 1].tolist()):
+        others = hinges[hinges[:, 1] == b][:, [0, 2]].ravel()
+        assert len(set(others.tolist())) == len(others)
+
+
+@pytest.mark.parametrize("straight", [0, 90, np.nan])
+def test_bad_straightness(straight):
+    with pytest.raises(ValueError, match=r"straight must lie in \(0, 90\) degrees, got"):
+        sheet_hinges(lattice((3, 3)), [[0, 1]], straight=straight)

@@ -3,6 +3,8 @@
 from .added_mass import AddedMass
 from .anisotropy import Anisotropy
 from .base import Effect, Term
+from .bending import Bending
+from .bending_damping import BendingDamping
 from .compression_softening import CompressionSoftening
 from .controller_delay import ControllerDelay
 from .controller_springs import ControllerSprings
@@ -29,12 +31,15 @@ from .stiffness_field import StiffnessField
 from .strain_stiffening import StrainStiffening
 from .stribeck_ground import StribeckGround
 from .tearing import Tearing
+from .torsion import Torsion
 from .viscoelastic import Viscoelastic
 from .wind import Wind
 
 __all__ = [
     "AddedMass",
     "Anisotropy",
+    "Bending",
+    "BendingDamping",
     "CompressionSoftening",
     "ControllerDelay",
     "ControllerSprings",
@@ -63,6 +68,7 @@ __all__ = [
     "StribeckGround",
     "Tearing",
     "Term",
+    "Torsion",
     "Viscoelastic",
     "Wind",
 ]

@@ -1,0 +1,316 @@
+"""Discrete elastic rods: curvature and twist of hinges, the forces of their moments, and directors that follow the rope.
+
+A hinge of nodes a, b, c joins two segments with unit tangents t, u and has the curvature binormal kb = 2 t x u / (1 + t.u), of length
+2 tan(angle / 2). Where both segments belong to a chain they carry directors d, e across them (material frames d, t x d), and
+
+    kappa_1 = kb . (t x d + u x e) / 2c,   kappa_2 = -kb . (d + e) / 2c,   tau = angle from d, carried over to u, to e,
+
+with c = cos(tau / 2): the components of kb in the frame half way between the two. (Plain means of both frames' components, c = 1, are
+common, but shrink with twist: a rope that is bent strongly from hinge to hinge would then twist by itself to be rid of its bending.)
+
+Elsewhere any frame serves that does not twist from t to u, and only an amount of natural curvature is known. Moments M are conjugate to
+kappa, so that nodes feel -sum_k M_k grad kappa_k; the gradients, those of Bergou et al. 2010, section A, and of c by that of tau, also
+give the rates.
+
+Twist has no inertia: its waves are faster than a substep can follow. Directors are carried along by the smallest rotation of their
+segments (parallel transport in time; Bergou et al. 2010, section 4), and every substep takes one damped Jacobi step of all free segments'
+angles towards the balance of torques, for which a rope resists twist by a fifth of its bending stiffness at least (an elastic rod of round
+section: by 1 / (1 + Poisson's ratio) of it). A segment between two driven nodes is held: it is only carried along.
+"""
+
+import warp as wp
+
+from .hinges import FOLD, SHORT
+
+__all__ = ["make_rods", "reading", "rod_functions"]
+
+RELAXED = 0.6  # share of the Jacobi step that is taken: a free chain needs less than 1
+ROLL = 0.2  # rad, the most that a segment rolls in a substep
+WOUND = 0.05  # least cos(tau / 2) that counts: beyond 174 degrees of twist a frame half way is nowhere
+LIMP = 0.2  # of the bending stiffness: a rope that resists twist by less would wind itself up; its directors rest as if it did by this
+BLUNT = 1.0e-3  # rad: below this angle a hinge without directors forgets which way it was bent by nature
+IDLE = 1.0e-12  # N m: stiffness against roll that counts as none
+
+
+def rod_functions(kit):
+    """(framed forces, plain forces, roll): pure functions of positions, velocities and directors."""
+    R, vec, ph, law = kit.R, kit.vec, kit.vectors["hinge"], kit.laws.hinge
+
+    @wp.func
+    def carried(d: vec, t: vec, u: vec):
+        """Director ``d`` of tangent ``t`` turned by the smallest rotation to tangent ``u``."""
+        q = d - (t + u) * (wp.dot(u, d) / wp.max(R(1.0) + wp.dot(t, u), R(FOLD)))
+        return wp.normalize(q - u * wp.dot(u, q))
+
+    @wp.func
+    def tangent(a: vec, b: vec):
+        e = b - a
+        return e / wp.max(wp.length(e), R(SHORT))
+
+    @wp.func
+    def folded(t: vec, u: vec):
+        return wp.max(R(1.0) + wp.dot(t, u), R(FOLD))
+
+    @wp.func
+    def twist_of(t: vec, u: vec, d: vec, e: vec):
+        r = carried(d, t, u)
+        return wp.atan2(wp.dot(wp.cross(r, e), u), wp.dot(r, e))
+
+    @wp.func
+    def halved(tau: R):
+        """1 / cos(tau / 2)."""
+        return R(1.0) / wp.max(wp.cos(R(0.5) * tau), R(WOUND))
+
+    @wp.func
+    def pushed(
+        a: vec,
+        b: vec,
+        c: vec,
+        va: vec,
+        vb: vec,
+        vc: vec,
+        kb: vec,
+        m1: vec,
+        m2: vec,
+        kappa: vec,
+        twists: R,
+        lean: R,
+        q1: R,
+        q2: R,
+        natural: vec,
+        span: R,
+        flexure: R,
+        p: ph,
+    ):
+        """Forces on nodes a and c.
+
+        m1, m2  sums of the segments' axes, divided by c: twice those of the frame half way
+        twists  1 where the segments have directors, or 0
+        lean    tan(tau / 2) / 2, by which the frame half way follows the twist
+        q1, q2  what to leave out of the gradients of the first two components: their projection on this
+        """
+        t = tangent(a, b)
+        u = tangent(b, c)
+        chi = folded(t, u)
+        before = R(1.0) / wp.max(wp.length(b - a), R(SHORT))
+        after = R(1.0) / wp.max(wp.length(c - b), R(SHORT))
+        middle = (t + u) / chi
+        s1 = m1 / chi
+        s2 = m2 / chi
+        k1 = R(0.5) * wp.dot(kb, m2)
+        k2 = R(-0.5) * wp.dot(kb, m1)
+        # gradients by the first and the second segment
+        f3 = kb * (R(0.5) * twists * before)
+        g3 = kb * (R(0.5) * twists * after)
+        f1 = (wp.cross(u, s2) - middle * k1) * before + f3 * (k1 * lean)
+        g1 = (-wp.cross(t, s2) - middle * k1) * after + g3 * (k1 * lean)
+        f2 = (-wp.cross(u, s1) - middle * k2) * before + f3 * (k2 * lean)
+        g2 = (wp.cross(t, s1) - middle * k2) * after + g3 * (k2 * lean)
+        fq = f1 * q1 + f2 * q2
+        gq = g1 * q1 + g2 * q2
+        f1 -= fq * q1
+        g1 -= gq * q1
+        f2 -= fq * q2
+        g2 -= gq * q2
+        p1 = vb - va
+        p2 = vc - vb
+        rate = vec(wp.dot(f1, p1) + wp.dot(g1, p2), wp.dot(f2, p1) + wp.dot(g2, p2), wp.dot(f3, p1) + wp.dot(g3, p2))
+        m = law(kappa, rate, natural, span, p) * flexure
+        return f1 * m[0] + f2 * m[1] + f3 * m[2], -(g1 * m[0] + g2 * m[1] + g3 * m[2])
+
+    @wp.func
+    def framed(a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, p: ph):
+        """Forces on nodes a and c of a hinge between two segments with directors."""
+        t = tangent(a, b)
+        u = tangent(b, c)
+        kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
+        tau = twist_of(t, u, d, e)
+        half = halved(tau)
+        m1 = (d + e) * half
+        m2 = (wp.cross(t, d) + wp.cross(u, e)) * half
+        kappa = vec(R(0.5) * wp.dot(kb, m2), R(-0.5) * wp.dot(kb, m1), tau)
+        lean = R(0.5) * wp.sin(R(0.5) * tau) * half
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(1.0), lean, R(0.0), R(0.0), natural, span, flexure, p)
+        return fa, fc
+
+    @wp.func
+    def plain(a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, natural: vec, span: R, flexure: R, p: ph):
+        """Forces on nodes a and c of a hinge without directors: of any one, for laws are the same in all directions.
+
+        The natural curvature is an amount, in whatever direction the hinge is bent; near straight it fades. What turns a bent hinge about
+        itself is no bending, so only the rate of the amount counts; near straight any.
+        """
+        t = tangent(a, b)
+        u = tangent(b, c)
+        kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
+        some = vec(R(1.0), R(0.0), R(0.0))
+        if wp.abs(t[0]) > R(0.6):
+            some = vec(R(0.0), R(1.0), R(0.0))
+        d = wp.normalize(wp.cross(t, some))
+        e = carried(d, t, u)
+        m1 = d + e
+        m2 = wp.cross(t, d) + wp.cross(u, e)
+        kappa = vec(R(0.5) * wp.dot(kb, m2), R(-0.5) * wp.dot(kb, m1), R(0.0))
+        way = kappa / wp.sqrt(wp.dot(kb, kb) + R(BLUNT * BLUNT))
+        wanted = way * natural[0]
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(0.0), R(0.0), -way[1], way[0], wanted, span, flexure, p)
+        return fa, fc
+
+    @wp.func
+    def resisted(t: vec, u: vec, d: vec, e: vec, side: R, natural: vec, span: R, flexure: R, p: ph):
+        """(slope, curvature) of a hinge's energy as the segment after it (``side`` 1) or before it (-1) rolls.
+
+        The frame half way rolls by half of that: (kappa_1, kappa_2)' = (kappa_2, -kappa_1) / 2. The law's stiffness is what a unit of each
+        component changes. For the second derivative's part from the frame's own turning, -M . kappa / 4, its bound |M| |kappa| / 4 is
+        taken: the step is downhill, and short where the torque is greatest.
+        """
+        kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
+        tau = twist_of(t, u, d, e)
+        half = R(0.5) * halved(tau)
+        kappa = vec(wp.dot(kb, wp.cross(t, d) + wp.cross(u, e)) * half, -wp.dot(kb, d + e) * half, tau)
+        k1 = R(0.5) * kappa[1]
+        k2 = R(-0.5) * kappa[0]
+        m = law(kappa, vec(), natural, span, p)
+        s1 = law(kappa + vec(R(1.0), R(0.0), R(0.0)), vec(), natural, span, p)[0] - m[0]
+        s2 = law(kappa + vec(R(0.0), R(1.0), R(0.0)), vec(), natural, span, p)[1] - m[1]
+        s3 = law(kappa + vec(R(0.0), R(0.0), R(1.0)), vec(), natural, span, p)[2] - m[2]
+        firm = wp.max(R(0.5 * LIMP) * (s1 + s2) - s3, R(0.0))
+        slope = m[0] * k1 + m[1] * k2 + (m[2] + firm * tau) * side
+        bend = s1 * k1 * k1 + s2 * k2 * k2 + s3 + firm + R(0.25) * wp.sqrt((m[0] * m[0] + m[1] * m[1]) * wp.dot(kb, kb) + R(IDLE * IDLE))
+        return slope * flexure, bend * flexure
+
+    @wp.func
+    def roll(
+        d0: vec,
+        d1: vec,
+        d2: vec,
+        a: vec,
+        b: vec,
+        c: vec,
+        d: vec,
+        a2: vec,
+        b2: vec,
+        c2: vec,
+        d2_: vec,
+        natural0: vec,
+        natural1: vec,
+        span0: R,
+        span1: R,
+        flexure0: R,
+        flexure1: R,
+        free: R,
+        p: ph,
+    ):
+        """The director of segment b-c after a substep, from those of the segments a-b, b-c, c-d before it and old and new positions."""
+        t0 = tangent(a2, b2)
+        t1 = tangent(b2, c2)
+        t2 = tangent(c2, d2_)
+        e0 = carried(d0, tangent(a, b), t0)
+        e1 = carried(d1, tangent(b, c), t1)
+        e2 = carried(d2, tangent(c, d), t2)
+        across = wp.cross(t1, e1)
+        slope0, bend0 = resisted(t0, t1, e0, e1, R(1.0), natural0, span0, flexure0, p)
+        slope1, bend1 = resisted(t1, t2, e1, e2, R(-1.0), natural1, span1, flexure1, p)
+        step = -(slope0 + slope1) / (bend0 + bend1 + R(IDLE)) * R(RELAXED)
+        angle = wp.clamp(step, R(-ROLL), R(ROLL)) * free
+        return e1 * wp.cos(angle) + across * wp.sin(angle)
+
+    return framed, plain, roll
+
+
+def reading(kit):
+    """Functions that fetch what a hinge and a segment are made of."""
+    R, vec, World, get_x = kit.R, kit.vec, kit.World, kit.get_x
+
+    @wp.func
+    def natural_of(w: World, h: int):
+        """(natural curvature, span, relative stiffness) of hinge ``h``; of none where it is -1."""
+        if h < 0:
+            return vec(), R(1.0), R(0.0)
+        n = w.natural[h]
+        return vec(n[0], n[1], R(0.0)), w.span[h], w.flexure[h]
+
+    @wp.func
+    def stretch_of(w: World, slot: int, s: int, h0: int, h1: int):
+        """Positions of the four nodes around segment ``s``; past an end of the rope it goes straight on."""
+        b = get_x(w.state, slot * w.nodes + w.segment[s, 0])
+        c = get_x(w.state, slot * w.nodes + w.segment[s, 1])
+        a = b + b - c
+        d = c + c - b
+        if h0 >= 0:
+            a = get_x(w.state, slot * w.nodes + w.joint[h0, 0])
+        if h1 >= 0:
+            d = get_x(w.state, slot * w.nodes + w.joint[h1, 2])
+        return a, b, c, d
+
+    @wp.func
+    def directors_of(w: World, slot: int, s: int, h0: int, h1: int):
+        d0 = w.directors[slot, s]
+        d2 = w.directors[slot, s]
+        if h0 >= 0:
+            d0 = w.directors[slot, w.sides[h0, 0]]
+        if h1 >= 0:
+            d2 = w.directors[slot, w.sides[h1, 1]]
+        return d0, w.directors[slot, s], d2
+
+    return natural_of, stretch_of, directors_of
+
+
+def make_rods(kit):
+    """(bend, bent, turn): a hinge's forces, what a node gets of them, a segment's next director."""
+    vec, World, ph = kit.vec, kit.World, kit.vectors["hinge"]
+    get_x, get_v = kit.get_x, kit.get_v
+    framed, plain, roll = rod_functions(kit)
+    natural_of, stretch_of, directors_of = reading(kit)
+
+    @wp.func
+    def bend(w: World, slot: int, h: int, p: ph):
+        if w.joint[h, 0] >= 0:
+            i = slot * w.nodes + w.joint[h, 0]
+            j = slot * w.nodes + w.joint[h, 1]
+            k = slot * w.nodes + w.joint[h, 2]
+            natural, span, flexure = natural_of(w, h)
+            a = get_x(w.state, i)
+            b = get_x(w.state, j)
+            c = get_x(w.state, k)
+            va = get_v(w.state, i)
+            vb = get_v(w.state, j)
+            vc = get_v(w.state, k)
+            fa = vec()
+            fc = vec()
+            if w.sides[h, 0] >= 0:
+                d = w.directors[slot, w.sides[h, 0]]
+                e = w.directors[slot, w.sides[h, 1]]
+                fa, fc = framed(a, b, c, va, vb, vc, d, e, natural, span, flexure, p)
+            else:
+                fa, fc = plain(a, b, c, va, vb, vc, natural, span, flexure, p)
+            w.moment[h, 0] = fa
+            w.moment[h, 1] = fc
+
+    @wp.func
+    def bent(w: World, i: int):
+        """Force on node ``i`` from all its hinges."""
+        f = vec()
+        for j in range(w.hinge_row[i], w.hinge_row[i + 1]):
+            h = w.hinge_of[j] // 3
+            role = w.hinge_of[j] % 3
+            if role == 0:
+                f += w.moment[h, 0]
+            elif role == 2:
+                f += w.moment[h, 1]
+            else:
+                f -= w.moment[h, 0] + w.moment[h, 1]
+        return f
+
+    @wp.func
+    def turn(w: World, here: int, there: int, s: int, p: ph):
+        h0 = w.ends[s, 0]
+        h1 = w.ends[s, 1]
+        n0, span0, flexure0 = natural_of(w, h0)
+        n1, span1, flexure1 = natural_of(w, h1)
+        a, b, c, d = stretch_of(w, here, s, h0, h1)
+        a2, b2, c2, d2 = stretch_of(w, there, s, h0, h1)
+        e0, e1, e2 = directors_of(w, here, s, h0, h1)
+        w.directors[there, s] = roll(e0, e1, e2, a, b, c, d, a2, b2, c2, d2, n0, n1, span0, span1, flexure0, flexure1, w.loose[s], p)
+
+    return bend, bent, turn
