@@ -8,7 +8,7 @@ import numpy as np
 
 from ..datasets.scenario import Observed
 from ..physics.system import System
-from ..physics.topology import controller_springs, object_springs
+from ..physics.topology import controller_springs, object_springs, sheet_hinges
 from .matching import material_coordinates
 from .sightings import Sightings, sight_nodes
 
@@ -111,6 +111,7 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
         stiffness=np.ones(len(springs)),
         controllers=recording.controllers,
         grips=grips,
+        hinges=sheet_hinges(positions, body),
         velocities=_start_velocity(sightings, positions, recording.fps),
         seen=sightings.position,
         home=_home(recording, positions, like),

@@ -17,7 +17,7 @@ class Body:
     """A flex as MuJoCo takes it.
 
     kind       cloth, rope or plush
-    vertices   (V, 3) rest positions [m], the lowest at z = 0
+    vertices   (V, 3) rest positions [m], the lowest on z = 0
     elements   (E, dim + 1) vertex indices: segments, triangles or tetrahedra
     faces      (F, 3) the skin, normals outward; empty for a rope
     mass       (V,) [kg]
@@ -125,7 +125,7 @@ def plush(rng: np.random.Generator, *, fine: bool = False) -> Body:
     """A stuffed bar, slab or parcel of foam."""
     size = [(0.24, 0.06, 0.026), (0.2, 0.12, 0.025), (0.16, 0.09, 0.05), (0.3, 0.05, 0.03)][int(rng.integers(4))]
     size = tuple(float(x) for x in np.array(size) * rng.uniform(0.9, 1.15, 3))
-    pitch = 0.018 if fine else 0.023
+    pitch = 0.016 if fine else 0.023
     cells = tuple(int(n) for n in np.maximum(np.round(np.array(size) / pitch), [1, 2, 1 + fine]))
     shape = Plush(size=size, cells=cells, taper=rng.uniform(0, 0.4), rounding=rng.uniform(0, 0.35), roundness=rng.uniform(0, 0.6))
     young = float(np.exp(rng.uniform(np.log(1500), np.log(6000))))

@@ -130,7 +130,7 @@ def _clear(planned, body, scripts, plain, rng, clear, chaos):
     if not low <= moved <= high:
         raise Dull(f"{planned.name} finds no size that moves the points by {1000 * low:.0f} to {1000 * high:.0f} mm: {', '.join(tried)}")
     later, motion_later = _moved(planned, effect, scripts[1], plain[1])
-    if not later >= LEAST:
+    if not LEAST <= later < np.inf:
         raise Dull(f"{planned.name} moves the points of the transfer recording by {1000 * later:.1f} mm")
     return effect, (motion, motion_later), {"displacement": moved, "displacement_transfer": later, "size": size}
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..synthetic.simulate import GRAVITY
 from . import laws
 from .bodies import Body
-from .engine import Motion, Physics
+from .engine import SLIPPERY, Motion, Physics
 from .motions import Script
 from .sensing import Faults
 
@@ -245,7 +245,7 @@ def hidden_obstacle(on, size):
         raise ValueError("no room for the obstacle at frame 0")
     size3 = {"sphere": f"{radius}", "cylinder": f"{radius} {radius}", "box": f"{radius} {radius} {radius}"}[kind]
     stiff = 'solref="0.003 1" solimp="0.99 0.999 0.001"'
-    geom = f'<geom type="{kind}" size="{size3}" pos="{place[0]} {place[1]} {place[2]}" friction="0.4" {stiff}/>'
+    geom = f'<geom type="{kind}" size="{size3}" pos="{place[0]} {place[1]} {place[2]}" friction="{SLIPPERY}" {stiff}/>'
     return Effect(on.body, Physics(geoms=geom), parameters={"shape": str(kind), "size_m": radius}, place=place, radius=radius)
 
 

@@ -16,6 +16,7 @@ __all__ = ["Law", "Motion", "Unstable", "World", "simulate"]
 
 FPS = 30.0
 SETTLE = 0.3  # the body lies in closed grips that long before frame 0 [s]
+SLIPPERY = 1e-5  # of the table: MuJoCo takes the larger coefficient of the two in contact, so the body's own counts
 FASTEST = 20.0  # no vertex of a sane simulation is faster [m/s]
 
 Step = Callable[[float, np.ndarray, np.ndarray], np.ndarray | None]
@@ -144,11 +145,14 @@ class World:
         self.mujoco.mju_mat2Quat(data.qpos[q + 3 : q + 7], rotation.ravel())
 
 
-def simulate(body: Body, script: Script, physics: Physics | None = None, *, substeps: int = 32) -> Motion:
-    """``script.frames`` frames of ``body`` with ``substeps`` steps each. Raises Unstable where the solution blows up or MuJoCo warns."""
+def simulate(body: Body, script: Script, physics: Physics | None = None, *, substeps: int = 32, settle: float = SETTLE) -> Motion:
+    """``script.frames`` frames of ``body`` with ``substeps`` steps each, after ``settle`` seconds in closed grips.
+
+    Raises Unstable where the solution blows up or MuJoCo warns.
+    """
     physics = physics or Physics()
     world = World(body, script, physics, substeps)
-    steps, settle = (script.frames - 1) * substeps, round(SETTLE / world.dt)
+    steps, settle = (script.frames - 1) * substeps, round(settle / world.dt)
     paths = []
     for hand, origin in zip(script.hands, world.origins, strict=True):
         moves, turns = hand.path((np.arange(-settle, steps + 2)) * world.dt)
@@ -204,6 +208,8 @@ class _Clamps:
     def turn(self, rotations):
         data = self.world.data
         frames = data.plastic[self.frames].reshape(-1, 2, 3)[self.segments]
+        if not frames.any():  # MuJoCo sets them in its first step
+            return
         if self.directors is None:
             self.directors = [r.T @ f[1] for r, f in zip((rotations[h] for h in self.hands), frames, strict=True)]
         for k, (hand, (tangent, director)) in enumerate(zip(self.hands, frames, strict=True)):
@@ -233,7 +239,7 @@ def _mjcf(body, points, gripped, physics, dt):
   <option timestep="{dt:.12g}" integrator="discrete" solver="CG" iterations="200" tolerance="1e-8"/>
   <size memory="64M"/>
   <worldbody>
-    <geom name="table" type="plane" size="3 3 0.1" {physics.table}/>
+    <geom name="table" type="plane" size="3 3 0.1" friction="{SLIPPERY}" {physics.table}/>
     {physics.geoms}
     {hands}
     <flexcomp name="body" type="direct" dim="{body.dim}" mass="{body.mass.sum():.12g}" radius="{body.radius}"

@@ -35,7 +35,7 @@ def air(coefficient: float, wind=(0.0, 0.0, 0.0)) -> Law:
         def step(time, x, v):
             relative = np.asarray(wind) - v
             rate = coefficient * area * np.linalg.norm(relative, axis=1, keepdims=True)
-            return rate * relative / (1 + rate * dt / mass)  # implicit in v, so that no gust overshoots
+            return np.minimum(rate, mass / dt) * relative  # a gust carries along, it does not throw back
 
         return step
 
