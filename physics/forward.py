@@ -42,7 +42,7 @@ def node_functions(kit):
 
 
 def sighting(kit):
-    """The function that tells what observers saw of node ``i`` at ``step`` of ``substeps`` after ``frame``: (position, velocity, weight)."""
+    """The function that says what observers saw of node ``i`` at ``step`` of ``substeps`` after ``frame``: (position, velocity, weight)."""
     R, vec, World = kit.R, kit.vec, kit.World
 
     @wp.func

@@ -27,7 +27,7 @@ class System:
     controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
     grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
     terms        the physics, each name and each parameter name once
-    home         (M, 3) m, where particles were in the frame 0 that parameters speak of, if that is another recording's; the start unless given
+    home         (M, 3) m, where particles were in the frame 0 that parameters speak of, if another recording's; the start unless given
     hinges       (H, 3) int: nodes in a row (before, at, after), numbered like those of springs; only hinge terms read what follows
     natural      (H, 2) curvature 2 tan(angle / 2) that they want about the two axes of the rope; 0 unless given (``physics.hinges``)
     span         (H,) m, the length of body that each stands for; half of its two segments at the start unless given

@@ -34,5 +34,6 @@ class MassField(Term):
         level = (modes * torch.stack([values[f"mass_{mode}"] for mode in MODES], 1)[system]).sum(1)
         free = batch.constants["lead"] == 0  # controllers have no mass to share
         uneven = torch.where(free, inputs.mass * level.exp(), inputs.mass)
-        before, after = (torch.zeros(len(batch.systems), dtype=m.dtype, device=m.device).index_add(0, system[free], m[free]) for m in (inputs.mass, uneven))
+        nothing = torch.zeros(len(batch.systems), dtype=uneven.dtype, device=uneven.device)
+        before, after = (nothing.index_add(0, system[free], m[free]) for m in (inputs.mass, uneven))
         return replace(inputs, mass=torch.where(free, uneven * (before / after)[system], uneven))
