@@ -41,6 +41,8 @@ from twinbench.physics.terms import (
     Term,
     Wind,
 )
+from twinbench.physics.terms.mass_field import MassField
+from twinbench.physics.terms.stiffness_level import StiffnessLevel
 from twinbench.physics.topology import rope_hinges
 
 ROUNDING = 1e-11  # at most 1e4 steps of numbers of order 1, each rounded by 2^-53 = 1.1e-16, with a margin for their summation
@@ -239,12 +241,17 @@ def test_a_gradient_of_strain_bends_a_strip():
     np.testing.assert_allclose(curvature, -g / radius, rtol=0.01)
 
 
+def boxed():
+    """(72, 3) m a box about the origin, longest along x, and the axes that turn it: each points where its largest component is positive."""
+    turned = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    turned *= np.sign(turned[np.abs(turned).argmax(0), range(3)])
+    box = np.array([[i, j, k] for i in range(6) for j in range(4) for k in range(3)]) * [1.0, 0.6, 0.3]
+    return box - box.mean(0), turned
+
+
 def test_the_stiffness_field_follows_the_principal_axes():
     # a box with its axes turned: u = (distance along axis k) / (rms extent), and ln(Y'/Y) is the sum of the modes that are switched on
-    turned = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
-    turned *= np.sign(turned[np.abs(turned).argmax(0), range(3)])  # an axis points where its largest component is positive
-    box = np.array([[i, j, k] for i in range(6) for j in range(4) for k in range(3)]) * [1.0, 0.6, 0.3]
-    box -= box.mean(0)
+    box, turned = boxed()
     springs = np.array([[i, i + 1] for i in range(len(box) - 1)])
     modes = dict(slope_a=0.3, slope_b=-0.2, slope_c=0.1, bow_a=0.25, bow_b=-0.15, saddle=0.05)
     values = {f"stiffness_{name}": value for name, value in modes.items()}
@@ -252,6 +259,26 @@ def test_the_stiffness_field_follows_the_principal_axes():
     a, b, c = (box[springs].mean(1) / box.std(0)).T
     expected = 0.3 * a - 0.2 * b + 0.1 * c + 0.25 * (a * a - 1) / 2 - 0.15 * (b * b - 1) / 2 + 0.05 * a * b
     np.testing.assert_allclose(np.log(prepared(system).stiffness.numpy() / 2), expected, rtol=0, atol=1e-12)
+
+
+def test_the_mass_field_follows_the_principal_axes_and_adds_nothing():
+    # as above, ln(m'/m) is the sum of the modes, up to what keeps the total; a hand's node, whatever stands for its mass, is left alone
+    box, turned = boxed()
+    modes = dict(zip((p.name for p in MassField.parameters), (0.3, -0.2, 0.1, 0.25, -0.15), strict=True))
+    masses = np.random.default_rng(3).uniform(0.5, 2.0, len(box))
+    system = body(box @ turned.T + 3.0, MassField, masses=masses, controllers=np.zeros((1, 1, 3)), **modes)
+    a, b, c = (box / box.std(0)).T
+    uneven = masses * np.exp(0.3 * a - 0.2 * b + 0.1 * c + 0.25 * (a * a - 1) / 2 - 0.15 * (b * b - 1) / 2)
+    found, before = prepared(system).mass.numpy(), prepared(system.with_values(**dict.fromkeys(modes, 0.0))).mass.numpy()
+    np.testing.assert_allclose(found[: len(box)], uneven * masses.sum() / uneven.sum(), rtol=0, atol=1e-12)
+    assert np.array_equal(before[: len(box)], masses) and np.array_equal(found[len(box) :], before[len(box) :])
+
+
+def test_stiffness_levels_are_of_the_body_and_of_its_grips():
+    # nodes 3 and 4 are hands; a particle that a hand grips is the body's own
+    springs = dict(springs=[[0, 1], [3, 1], [2, 1]], stiffness=[2.0, 3.0, 5.0], controllers=np.zeros((1, 2, 3)), grips=[-1, 2])
+    system = body(np.eye(3), StiffnessLevel, **springs, body_stiffness=10.0, grip_stiffness=0.5)
+    assert prepared(system).stiffness.tolist() == [20.0, 1.5, 50.0]
 
 
 # ---------------------------------------------------------------- the ground
