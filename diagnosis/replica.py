@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datasets.scenario import Observed
+from ..physics.hinges import natural_curvature
 from ..physics.system import System
-from ..physics.topology import controller_springs, object_springs, sheet_hinges
+from ..physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .matching import material_coordinates
-from .sightings import Sightings, sight_nodes
+from .ropes import apart, marked_chains, rope_chains
+from .sightings import Sightings, sight_markers, sight_nodes
 
 __all__ = ["Replica", "build_replica", "spread_out"]
 
@@ -18,6 +20,8 @@ REACH = 2.3  # connection radius in node spacings: first and second neighbours o
 MOST = 26  # springs looked for at a node, itself included
 GRIP_REACH = 1.6  # how far a hand point holds nodes, in node spacings
 GRIP_MOST = 4
+ROW = 12  # nodes that a rope must at least show
+THINNER = 1.3  # step of trying fewer nodes
 STILL = 3.0  # start velocities below this many standard errors are noise
 
 
@@ -76,19 +80,31 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
     ``like`` is a replica of another recording of the object: nodes are then taken until they stand as close as its, so that both bodies
     have particles of the same size and parameters mean the same, and places are told in its frame 0. Markers that are held (grips) are
     nodes of their own.
+
+    A rope (``ropes.rope_chains``) gets chains and hinges along them, whose natural shape is that of frame 0, and no more nodes than its
+    thickness leaves in a row; where its markers are few enough, they are the nodes. Other bodies get the hinges of sheets.
     """
     from scipy.spatial import cKDTree
 
     structure = recording.structure
     held = np.unique(recording.grips[recording.grips >= 0])
-    chosen = spread_out(structure, nodes, held)
-    if like is not None:
+    marked = _marked_rope(recording, nodes, held)
+    chosen = marked[0] if marked else _in_a_row(structure, spread_out(structure, nodes, held), len(held))
+    if like is not None and not marked:
         chosen = chosen[: max(len(held), min(len(chosen), len(like.nodes)))]
-    positions, sightings = sight_nodes(recording.points, recording.visible, structure[chosen])
+    if marked:
+        positions, sightings = structure[chosen].copy(), sight_markers(recording.points[:, chosen], recording.visible[:, chosen])
+    else:
+        positions, sightings = sight_nodes(recording.points, recording.visible, structure[chosen])
     positions[: len(held)] = structure[held]  # a driven marker is where it is
     own = like.spacing if like else _spacing(positions)
     body = object_springs(positions, radius=REACH * own, max_neighbours=MOST)
     body = _joined(positions, body)
+    home = _home(recording, positions, like)
+    chains = _alike(marked[1] if marked else rope_chains(apart(positions, sightings.position)), home, like)
+    if chains:
+        body = _along(body, chains)
+    hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, body)
     hands = np.flatnonzero(recording.grips < 0)
     ties = controller_springs(recording.controllers[0, hands], positions, radius=GRIP_REACH * own, max_neighbours=GRIP_MOST)
     if len(hands) and not len(ties):
@@ -111,15 +127,56 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
         stiffness=np.ones(len(springs)),
         controllers=recording.controllers,
         grips=grips,
-        hinges=sheet_hinges(positions, body),
+        hinges=hinges,
+        natural=natural_curvature(positions, hinges, chains) if chains else None,
+        chains=chains,
         velocities=_start_velocity(sightings, positions, recording.fps),
         seen=sightings.position,
-        home=_home(recording, positions, like),
+        home=home,
         terms=(),
         name=recording.name,
     )
     node_of = cKDTree(positions).query(structure)[1]
     return Replica(recording, system, sightings, own, links, node_of)
+
+
+def _marked_rope(recording, nodes, held):
+    """(tracked points, held ones first; chains of them) where they are at most ``nodes`` markers along a rope that is held; else None."""
+    count = recording.counts[0]
+    if not len(held) or count > nodes:
+        return None
+    tracks = np.where(recording.visible[..., None], recording.points, np.nan)
+    chains = marked_chains(recording.points[0], recording.structure[count:], tracks)
+    if not chains:
+        return None
+    order = np.concatenate([held, np.setdiff1d(np.arange(count), held)])
+    return order, tuple(np.argsort(order)[chain] for chain in chains)
+
+
+def _in_a_row(structure, chosen, held):
+    """As many of the ``chosen``, which fill ``structure`` ever denser, as show a rope: a closer row would go round its thickness."""
+    count = len(chosen)
+    while count >= max(ROW, held + 2):
+        if rope_chains(apart(structure[chosen[:count]])):
+            return chosen[:count]
+        count = int(count / THINNER)
+    return chosen
+
+
+def _alike(chains, home, like):
+    """The chains, the first of them run the way of that of ``like``."""
+    if not chains or like is None or not like.system.chains:
+        return chains
+    ends = like.nodes[like.system.chains[0][[0, -1]]]
+    near = np.linalg.norm(home[chains[0][[0, -1]]][:, None] - ends[None], axis=2)
+    return (chains[0][::-1] if near[0, 1] + near[1, 0] < near[0, 0] + near[1, 1] else chains[0], *chains[1:])
+
+
+def _along(springs, chains):
+    """``springs`` and those between neighbours of the chains, so that these are there whatever their length."""
+    steps = np.concatenate([np.stack([c[:-1], c[1:]], 1) for c in chains])
+    both = np.concatenate([np.sort(springs, axis=1), np.sort(steps, axis=1)])
+    return np.unique(both, axis=0)
 
 
 def _home(recording, positions, like):

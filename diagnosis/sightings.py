@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Sightings", "noise_of", "sight_nodes"]
+__all__ = ["Sightings", "noise_of", "sight_markers", "sight_nodes"]
 
 NEIGHBOURS = 12  # tracks that share a rigid motion from frame 0
 OUTLIER = 4.0  # robust standard deviations from the shared motion
@@ -43,6 +43,17 @@ def noise_of(positions: np.ndarray) -> float:
     return float(np.quantile(scale, 0.25)) if scale.size else 0.0
 
 
+def sight_markers(points, visible) -> Sightings:
+    """What was seen of nodes that are markers themselves: ``points`` (T, n, 3) [m] where ``visible`` (T, n), as they are.
+
+    Markers along a rope share no rigid motion that could tell a wrong one.
+    """
+    position = np.where(np.asarray(visible, bool)[..., None], np.asarray(points, float), np.nan)
+    count = np.isfinite(position[..., 0]).astype(int)
+    nodes = position.shape[1]
+    return Sightings(position, count, noise_of(position), np.full(nodes, np.nan), np.zeros(nodes, bool))
+
+
 def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
     """Pool tracks ``points`` (T, N, 3) [m], meaningless where not ``visible`` (T, N), at ``nodes`` (n, 3) of frame 0.
 
@@ -77,7 +88,9 @@ def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
     wrong[usable] = share > LOST
     misfit = np.full(count, np.nan)
     with np.errstate(all="ignore"):
-        misfit[usable] = np.where(np.isfinite(residual).any(0), np.nanmedian(np.where(np.isfinite(residual), residual, np.nan), axis=0), np.nan)
+        misfit[usable] = np.where(
+            np.isfinite(residual).any(0), np.nanmedian(np.where(np.isfinite(residual), residual, np.nan), axis=0), np.nan
+        )
     track = np.where(bad[..., None] if k > 3 else False, np.nan, track)
     position, held = _pool(track, home, near, owner, nodes)
     noise = noise_of(position)
