@@ -74,7 +74,8 @@ def test_names_of_terms_and_parameters_are_unique():
 def test_law_and_twin_take_the_same_arguments(term):
     law = list(inspect.signature(term.law.func).parameters)
     assert law == [*INPUTS[term.stage], "p", "o"]
-    assert list(inspect.signature(term.twin).parameters) == [*INPUTS[term.stage], *(p.name for p in term.parameters)]
+    taken = list(map(str, inspect.signature(term.twin).parameters.values()))  # a long list may be taken whole
+    assert taken in ([*INPUTS[term.stage], *(p.name for p in term.parameters)], [*INPUTS[term.stage], "*values"])
     if term.stage == "strand":
         assert list(inspect.signature(term.evolve.func).parameters) == [*INPUTS["strand"], "dt", "p", "o"]
         assert list(inspect.signature(term.twin_evolve).parameters) == [*INPUTS["strand"], "dt", *(p.name for p in term.parameters)]
