@@ -60,7 +60,7 @@ def test_a_term_says_what_it_is(term):
     assert hasattr(term, "prepare") == (term.stage == "setup")
     for p in term.parameters:
         assert p.unit and p.meaning and p.low < p.high
-        assert re.fullmatch("[a-z][a-z_]*", p.name)  # columns that start with _ are padding
+        assert re.fullmatch("[a-z][a-z0-9_]*", p.name)  # columns that start with _ are padding
 
 
 def test_names_of_terms_and_parameters_are_unique():
