@@ -1,0 +1,292 @@
+"""The cables: real ropes held at both ends, of which a spring-mass twin is asked, term by term, what it lacks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+
+import numpy as np
+
+from ..datasets.collection import Collection
+from ..datasets.scenario import Observed, Scenario
+from ..diagnosis.fit import Fit, Task, fit
+from ..diagnosis.hypotheses import catalogue
+from ..diagnosis.ladder import Candidate, Climb, climb
+from ..diagnosis.model import Knob, Model, Simulator
+from ..diagnosis.replica import Replica, build_replica
+from ..physics.terms import AddedMass, Dashpot, Gravity, LinearDrag, Springs
+from ..physics.terms.bending import Bending
+from ..physics.terms.braces import Braces
+from ..physics.terms.natural_curvature import ENDS, MODES, NaturalCurvature
+from ..physics.terms.stiffness_level import StiffnessLevel
+
+__all__ = ["CableTask", "Plan", "cable_replica", "candidates", "first_twin", "score", "study", "window"]
+
+LINE_DENSITY = 1.0  # kg/m: gravity and inertia grow alike, so all stiffness is known per mass only, as E I / (rho A)
+STIFFEST = 5e3  # N: at a cable's own weight this stretches by less than 0.1 %, and a stiffer one only needs shorter steps
+NODES = 64  # markers that a cable may have
+TRAIN, VALIDATION = 8, 8  # recordings
+SECONDS = 2.5  # of each that are fitted
+SCOUTED = 3  # recordings on which starts are tried
+JITTER = 2e-4  # m, of the markers of a recording
+DRAWS = 48  # random natural shapes tried as starts
+PLACES = (0.25, 0.5, 0.75)  # of the arc, where more mass is looked for
+BENT = 2.0  # 1/m, a natural curvature as a cable off a reel has: 0.5 m radius
+ASKEW = 0.3  # further angle at which a grip may hold it, as 2 tan(angle / 2)
+FIELDS = ("cable", "seed", "step", "term", "recording", "all_mm", "free_mm")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much work a study does: recordings fitted and held out of the fits, seconds of each that are fitted, Gauss-Newton steps."""
+
+    train: int = TRAIN
+    validation: int = VALIDATION
+    seconds: float = SECONDS
+    iterations: int = 5
+    most: int = 8
+
+
+@dataclass
+class CableTask(Task):
+    """Recordings of one cable need steps of the same length: the first one tells."""
+
+    def substeps(self, model, z):
+        count = self.simulators[0].substeps(model.terms, model.decode(z))
+        return [count] * len(self.simulators)
+
+
+def window(recording: Observed, first: int, last: int) -> Observed:
+    """Frames [first, last) of ``recording``, as one that begins there."""
+    if not 0 <= first < last <= recording.observed_frames:
+        raise ValueError(f"frames must lie in [0, {recording.observed_frames}), got [{first}, {last}) (scenario {recording.name})")
+    cut = {k: getattr(recording, k)[first:last] for k in ("points", "visible", "motion_valid", "controllers")}
+    known = {k: getattr(recording, k) for k in ("fps", "gravity", "grips", "object", "session", "ground")}
+    interior = recording.interior if first == 0 else np.zeros((0, 3))
+    return Observed(name=recording.name, interior=interior, **cut, **known)
+
+
+def cable_replica(recording: Observed, like: Replica | None = None, lengths: Sequence[np.ndarray] | None = None) -> Replica:
+    """A replica with the markers as nodes, whose mass is what they stand for and whose places are told along the arc.
+
+    ``like`` is another recording of the cable, whose chains count (they are told best where nothing touches), and ``lengths`` the cable's
+    own between its markers, chain by chain [m]; the frame-0 distances unless given. Raises ValueError where the body is no rope.
+    """
+    replica = build_replica(recording, nodes=NODES)
+    chains = like.system.chains if like else replica.system.chains
+    if not chains or len(replica.nodes) != recording.counts[0]:
+        raise ValueError(f"the recording must show a rope held by markers, and their order, got none (scenario {recording.name})")
+    system = replica.system
+    lengths = lengths or [np.linalg.norm(np.diff(system.positions[c], axis=0), axis=1) for c in chains]
+    mass, place = np.zeros(len(replica.nodes)), np.zeros((len(replica.nodes), 3))
+    rest, links = system.rest.copy(), {}
+    for chain, steps in zip(chains, lengths, strict=True):
+        place[chain[1:], 0] = place[chain[0], 0] + np.cumsum(steps)
+        for (a, b), step in zip(pairwise(chain.tolist()), steps, strict=True):
+            mass[[a, b]] += LINE_DENSITY * step / 2
+            links[a, b] = links[b, a] = step
+    for e, (a, b) in enumerate(system.springs.tolist()):
+        rest[e] = links.get((a, b), rest[e])
+    return replace(replica, system=replace(system, rest=rest, masses=mass, home=place, chains=chains, span=None))
+
+
+def candidates(rng: np.random.Generator, length: float) -> list[Candidate]:
+    """What may be missing of a cable of ``length`` m in the air: the effects that need neither ground nor hands, and a natural shape.
+
+    Left out are those that tell directions or places of a body that is more than a line.
+    """
+    found = []
+    for term in catalogue():
+        ground = any(p.name.startswith(("ground", "adhesion", "friction")) for p in term.parameters)
+        held = term.name.startswith("grip")
+        staged = term.stage in ("axial", "strand", "hinge", "body", "velocity", "setup")
+        if staged and not ground and not held and not term.effect.place and term.name not in ("anisotropy",):
+            also = {"brace_share": 1e-3} if term is Bending else {}
+            needs = "bending" if term.name == "torsion" else ""
+            found.append(Candidate.of(term, also=also, needs=needs))
+    found += [_more_mass(length), _natural_shape(rng), _first_shape()]
+    return found
+
+
+def _more_mass(length):
+    p = {p.name: p for p in AddedMass.parameters}
+    knobs = (
+        Knob("added_mass", 1.0, 1.0, 1e-4, p["added_mass"].high, log=True),
+        Knob("added_mass_x", 0.5 * length, 0.15 * length, 0.0, length),
+        Knob("added_mass_within", 0.1, 0.7, p["added_mass_within"].low, p["added_mass_within"].high, log=True),
+    )
+    starts = [(a, share * length, r) for a, share, r in product((0.1, 0.5, 2.0), PLACES, (0.03, 0.1))]
+    return Candidate("added_mass", knobs, np.array(starts), (AddedMass,))
+
+
+def _natural_shape(rng):
+    """Modes of natural curvature; the one about axis b that all of them could be rolled into is left out."""
+    modes = [f"natural_{axis}{k}" for axis in "ab" for k in range(MODES) if (axis, k) != ("b", 0)]
+    ends = [f"natural_{axis}_{end}" for axis in "ab" for end in ENDS]
+    knobs = [Knob(n, 0.0, BENT, -50.0, 50.0) for n in modes] + [Knob(n, 0.0, ASKEW, -1.5, 1.5) for n in ends]
+    scale = np.array([1.0 / (1 + int(n[-1])) for n in modes] + [0.3] * len(ends)) * [k.spread for k in knobs]
+    return Candidate("natural_curvature", tuple(knobs), rng.normal(size=(DRAWS, len(knobs))) * scale, needs="bending")
+
+
+def _first_shape():
+    knob = Knob("natural_kept", 0.0, 0.5, 0.0, 1.5)
+    return Candidate("first_shape_natural", (knob,), np.array([[0.2], [0.5], [1.0]]), needs="bending")
+
+
+def all_terms() -> tuple:
+    """The twin's terms and all candidates' laws, off: one set of kernels for all."""
+    twin = {Springs, Dashpot, Gravity, LinearDrag, StiffnessLevel, Braces, NaturalCurvature}
+    laws = {t for c in candidates(np.random.default_rng(0), 1.0) for t in c.terms if t.stage != "setup"}
+    return tuple(sorted(twin | laws, key=lambda t: t.name))
+
+
+def twin_model() -> Model:
+    """The spring-mass twin: springs between neighbours and next neighbours, a dashpot in each, drag."""
+    knobs = (
+        Knob("body_stiffness", 2e3, 1.0, 1.0, STIFFEST, log=True),
+        Knob("brace_share", 0.05, 1.5, 1e-5, 2.0, log=True),
+        Knob("dashpot_damping", 1.0, 1.5, 1e-3, 30.0, log=True),
+        Knob("drag_damping", 0.3, 1.5, 1e-3, 20.0, log=True),
+    )
+    return Model(all_terms(), {"natural_kept": 0.0}, knobs)
+
+
+def first_twin(task: Task, scouting: Task, *, iterations: int) -> Fit:
+    """The spring-mass twin fitted from the best point of a grid."""
+    model = twin_model()
+    grid = product((300.0, 2e3, STIFFEST), (1e-4, 1e-3, 1e-2, 0.1, 0.5), (0.1, 1.0, 10.0), (0.1, 1.0))
+    trials = [np.array([k.encode(v) for k, v in zip(model.knobs, point, strict=True)]) for point in grid]
+    steps = [max(a) for a in zip(*(scouting.substeps(model, t) for t in trials[::7]), scouting.substeps(model, trials[-1]), strict=True)]
+    residual = scouting.residuals(scouting.predict(model, trials, steps))
+    costs = [float(r @ r) if np.isfinite(r).all() else np.inf for r in residual]
+    best = trials[int(np.argmin(costs))]
+    knobs = tuple(replace(k, start=k.decode(u)) for k, u in zip(model.knobs, best, strict=True))
+    return fit(task, replace(model, knobs=knobs), np.zeros(len(knobs)), iterations=iterations)
+
+
+def parted(collection: Collection, rng: np.random.Generator, plan: Plan) -> tuple[list[Scenario], list[Scenario]]:
+    """Training and validation recordings, drawn among those that may be fitted; no unbroken take is on both sides."""
+    sources = [collection.load(name) for name in collection.pairs[0].sources]
+    takes = rng.permutation(sorted({s.session for s in sources}))
+    order = [sources[i] for i in rng.permutation(len(sources))]
+    held_out: list[Scenario] = []
+    for take in takes:
+        if len(held_out) < plan.validation:
+            held_out += [s for s in order if s.session == take]
+    fitted = [s for s in order if s.session not in {h.session for h in held_out}]
+    if not fitted or len(held_out) < 2:
+        raise ValueError(f"the training recordings must come from at least two takes, got {len(takes)} ({collection.name})")
+    return fitted[: plan.train], held_out[: plan.validation]
+
+
+def lengths_of(recordings: Sequence[Observed], like: Replica) -> list[np.ndarray]:
+    """The cable's lengths between its markers [m], chain by chain: medians over all frames of ``recordings``."""
+    order = _order(like)
+    points = np.concatenate([np.where(r.visible[..., None], r.points, np.nan)[:, order] for r in recordings])
+    return [np.nanmedian(np.linalg.norm(np.diff(points[:, c], axis=1), axis=2), axis=0) for c in like.system.chains]
+
+
+def _order(replica):
+    """(n,) the marker that each node is."""
+    markers = replica.recording.points[0]
+    return np.array([np.linalg.norm(markers - node, axis=1).argmin() for node in replica.nodes])
+
+
+@dataclass(frozen=True)
+class Cable:
+    """What is known of a cable before anything is fitted: its chains and its lengths."""
+
+    like: Replica
+    lengths: list[np.ndarray]
+
+    @property
+    def arc(self) -> float:
+        return float(self.lengths[0].sum())
+
+    def replica(self, recording: Observed) -> Replica:
+        return cable_replica(recording, self.like, self.lengths)
+
+
+def score(cable: Cable, scenario: Scenario, fits: Sequence[Fit], *, device: str = "cpu") -> list[tuple[float, float]]:
+    """(all markers, free markers) mean absolute coordinate error [m] of each fit's roll-out over the whole recording.
+
+    It starts where the markers are in the first frame, as fast as they go from there to the second; then only the driven ones are known.
+    """
+    replica = cable.replica(scenario)
+    order = _order(replica)
+    start = (scenario.points[1] - scenario.points[0])[order] * scenario.fps
+    replica = replace(replica, system=replace(replica.system, velocities=start))
+    task = CableTask([Simulator(replica, device=device)], [scenario.frame_count], 0.0)
+    driven = np.isin(np.arange(len(order)), replica.system.grips)
+    found = []
+    for one in fits:
+        predicted = task.predict(one.model, [one.z], task.substeps(one.model, one.z))[0][0]
+        gap = np.abs(predicted - scenario.points[:, order])
+        gap[~scenario.visible[:, order]] = np.nan
+        lost = ~np.isfinite(predicted).all()
+        found.append((np.inf, np.inf) if lost else (float(np.nanmean(gap)), float(np.nanmean(gap[:, ~driven]))))
+    return found
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a study of one cable with one seed found: the steps' names, their fits, and rows of eval errors."""
+
+    cable: str
+    seed: int
+    climb: Climb
+    names: tuple[str, ...]
+    fits: tuple[Fit, ...]
+    rows: list[dict]
+    seconds: float
+
+    def means(self) -> list[tuple[str, float, float]]:
+        """(step, all markers, free markers) mean eval errors [mm]."""
+        found = []
+        for k, name in enumerate(self.names):
+            mine = [r for r in self.rows if r["step"] == k]
+            found.append((name, *(float(np.mean([r[c] for r in mine])) for c in ("all_mm", "free_mm"))))
+        return found
+
+
+def study(
+    collection: Collection, *, seed: int = 0, plan: Plan | None = None, device: str = "cpu", report: Callable[[str], None] = print
+) -> Found:
+    """Fit the spring-mass twin, add what it lacks term by term, and score every step on the eval recordings, which nothing else sees."""
+    begun, plan, rng = time.perf_counter(), plan or Plan(), np.random.default_rng(seed)
+    fitted, held_out = parted(collection, rng, plan)
+    first = cable_replica(fitted[0].observed())
+    cable = Cable(first, lengths_of(fitted, first))
+    task = _task(cable, fitted, rng, plan.seconds, device)
+    validation = _task(cable, held_out, rng, np.inf, device)
+    scouting = CableTask(task.simulators[:SCOUTED], task.frames[:SCOUTED], 0.0)
+    report(f"{collection.name} seed {seed}: fitted {', '.join(s.name for s in fitted)}; validation {', '.join(s.name for s in held_out)}")
+    base = first_twin(task, scouting, iterations=plan.iterations)
+    found = climb(task, validation, scouting, base, candidates(rng, cable.arc), iterations=plan.iterations, most=plan.most, report=report)
+    both = _task(cable, [*fitted, *held_out], rng, np.inf, device)
+    last = fit(both, found.last.model, found.last.z, iterations=plan.iterations)
+    names = ("twin", *(f"+ {s.name}" for s in found.steps), "all refitted")
+    fits = (found.first, *(s.fit for s in found.steps), last)
+    rows = []
+    for pair in collection.pairs:
+        scenario = collection.load(pair.target)
+        for k, (whole, free) in enumerate(score(cable, scenario, fits, device=device)):
+            values = (collection.name, seed, k, names[k], scenario.name, round(1e3 * whole, 4), round(1e3 * free, 4))
+            rows.append(dict(zip(FIELDS, values, strict=True)))
+    done = Found(collection.name, seed, found, names, fits, rows, time.perf_counter() - begun)
+    for name, whole, free in done.means():
+        report(f"eval {name}: {whole:.2f} mm (free {free:.2f})")
+    return done
+
+
+def _task(cable, scenarios, rng, seconds, device):
+    """The recordings as a task, of each a window of ``seconds`` at a place of chance."""
+    simulators, frames = [], []
+    for scenario in scenarios:
+        count = int(min(scenario.observed_frames, seconds * scenario.fps))
+        first = int(rng.integers(0, scenario.observed_frames - count + 1))
+        simulators.append(Simulator(cable.replica(window(scenario.observed(), first, first + count)), device=device))
+        frames.append(count)
+    return CableTask(simulators, frames, 0.0)

@@ -1,0 +1,231 @@
+"""Term by term: which physics a twin of several recordings lacks, each step accepted on recordings that were not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+
+from ..physics.terms.base import Term
+from .fit import Fit, Task, fit
+from .model import Knob, Model
+
+__all__ = ["Candidate", "Climb", "Rung", "Step", "climb", "errors"]
+
+SCOUT = 2  # Gauss-Newton steps after which most candidates are left
+FINALISTS = 4
+DECADES = np.arange(-2.0, 4.01, 0.5)  # of a typical amplitude, tried as starts
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Physics that may be missing.
+
+    terms     of it; those with laws may be in the twin already, switched off, so that all candidates share their kernels
+    values    fixed parameters that it needs to be what it says
+    knobs     that it adds; all amplitudes are 0 where it is absent
+    starts    (S, K) values of the knobs from which the best is taken
+    also      values of knobs that the model has already, tried beside where they are
+    needs     name of a candidate without which it means nothing, or ""
+    """
+
+    name: str
+    knobs: tuple[Knob, ...]
+    starts: np.ndarray
+    terms: tuple[type[Term], ...] = ()
+    values: dict[str, float] = field(default_factory=dict)
+    also: dict[str, float] = field(default_factory=dict)
+    needs: str = ""
+
+    @classmethod
+    def of(cls, term: type[Term], **options) -> Candidate:
+        """Of a term that declares an effect: its amplitudes, and its shapes as they are tried, each over several decades."""
+        effect, known = term.effect, {p.name: p for p in term.parameters}
+        knobs, tried = [], []
+        for name in effect.amplitudes:
+            p, size = known[name], abs(effect.typical[name]) or max(map(abs, effect.typical.values()))
+            if p.low >= 0 and len(effect.amplitudes) == 1:
+                values = np.unique(np.clip(size * 10.0**DECADES, None, p.high))
+                knobs.append(Knob(name, float(size), 1.0, 1e-6 * size, p.high, log=True, step=0.05))
+            else:
+                values = np.array([0.0])
+                knobs.append(Knob(name, 0.0, size, p.low, p.high, step=0.05))
+            tried.append(values)
+        for name, shapes in effect.shapes.items():
+            p = known[name]
+            if p.scale == "log":
+                knobs.append(Knob(name, shapes[0], 0.7, p.low, p.high, log=True, step=0.05))
+                tried.append(np.array(shapes))
+        return cls(term.effect.name, tuple(knobs), np.array(list(product(*tried))), (term,), **options)
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One candidate refitted: mean validation error [m], its gain over the twin without it at equal budget, the gain's standard error."""
+
+    name: str
+    error: float
+    gain: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """What was added: validation errors [m] before and after, the candidates that were refitted for it, and what it made superfluous."""
+
+    name: str
+    before: float
+    after: float
+    spread: float
+    rivals: tuple[Rung, ...]
+    dropped: tuple[str, ...]
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class Climb:
+    """The fitted twin without anything, and the steps from there."""
+
+    first: Fit
+    error: float
+    steps: tuple[Step, ...]
+    rivals: tuple[Rung, ...]
+    losses: dict[str, tuple[float, float]]
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        return tuple(s.name for s in self.steps)
+
+    @property
+    def last(self) -> Fit:
+        return self.steps[-1].fit if self.steps else self.first
+
+
+def errors(task: Task, model: Model, z) -> np.ndarray:
+    """(recordings,) mean absolute error per coordinate [m] of the free nodes; infinite where the simulation blew up."""
+    found = []
+    for k, predicted in enumerate(task.predict(model, [z], task.substeps(model, z))):
+        gap = np.abs(predicted[0] - task.seen(k))[1:]
+        held = task.simulators[k].replica.system.grips
+        gap[:, held[held >= 0]] = np.nan
+        lost = ~np.isfinite(predicted[0]).all()
+        found.append(np.inf if lost else float(np.nanmean(gap)))
+    return np.array(found)
+
+
+def climb(
+    task: Task,
+    validation: Task,
+    scouting: Task,
+    base: Fit,
+    candidates: Sequence[Candidate],
+    *,
+    iterations: int,
+    most: int = 8,
+    report: Callable[[str], None] = lambda text: None,
+) -> Climb:
+    """Add the candidate that helps ``validation`` most, refit everything, see whether earlier ones are still needed, and go on.
+
+    All fits of a step start from the same twin and take the same number of steps, the twin without anything new too. A candidate is
+    accepted where its gain, paired over the validation recordings, exceeds its standard error, and one that was accepted stays while that
+    is so. ``scouting`` is a part of ``task`` on which starts are chosen.
+    """
+    steps, found, accepted = [], base, []
+    first = base
+    start_error = float(errors(validation, base.model, base.z).mean())
+    rivals: tuple[Rung, ...] = ()
+    while len(steps) < most:
+        plain = fit(task, found.model, found.z, iterations=SCOUT + iterations)
+        before = errors(validation, plain.model, plain.z)
+        have = {a.name for a in accepted}
+        left = [c for c in candidates if c.name not in have and (not c.needs or c.needs in have)]
+        scouts = [(c, fit(task, *_started(scouting, found, c), iterations=SCOUT)) for c in left]
+        scouts = sorted((s for s in scouts if np.isfinite(s[1].loss)), key=lambda s: s[1].loss)[:FINALISTS]
+        tried = []
+        for candidate, scout in scouts:
+            full = fit(task, scout.model, scout.z, iterations=iterations)
+            after = errors(validation, full.model, full.z)
+            gain, spread = _paired(before, after)
+            tried.append((candidate, full, Rung(candidate.name, float(after.mean()), gain, spread)))
+            report(
+                f"{candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {1e3 * gain:.2f} +- {1e3 * spread:.2f}"
+            )
+        rivals = tuple(t[2] for t in tried)
+        good = [t for t in tried if t[2].gain > t[2].spread]
+        if not good:
+            found = plain if _paired(errors(validation, found.model, found.z), before)[0] > 0 else found
+            break
+        candidate, found, rung = max(good, key=lambda t: t[2].gain)
+        accepted.append(candidate)
+        found, dropped = _ablated(task, validation, found, accepted, iterations)
+        accepted = [a for a in accepted if a.name not in dropped]
+        after = errors(validation, found.model, found.z)
+        steps.append(Step(candidate.name, float(before.mean()), float(after.mean()), rung.spread, rivals, dropped, found))
+        less = f", without {', '.join(dropped)}" if dropped else ""
+        report(f"+ {candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm{less}")
+    losses = {}
+    if steps:
+        whole = errors(validation, found.model, found.z)
+        for one in accepted:
+            bare = _without(found, one)
+            bare = fit(task, bare.model, bare.z, iterations=iterations)
+            losses[one.name] = _paired(errors(validation, bare.model, bare.z), whole)
+    return Climb(first, start_error, tuple(steps), rivals, losses)
+
+
+def _started(task, found, candidate):
+    """The model with the candidate, and the z of its best start on ``task``."""
+    model = found.model
+    base = [k for k in model.knobs if k.name not in candidate.values]
+    z0 = np.array([u for k, u in zip(model.knobs, found.z, strict=True) if k.name not in candidate.values])
+    terms = tuple(sorted({*model.terms, *candidate.terms}, key=lambda t: t.name))
+    model = Model(terms, {**model.values, **candidate.values}, (*base, *candidate.knobs))
+    trials = []
+    for start in candidate.starts:
+        own = [k.encode(float(np.clip(v, k.low, k.high))) for k, v in zip(candidate.knobs, start, strict=True)]
+        trials.append(np.concatenate([z0, own]))
+        if candidate.also:
+            moved = [k.encode(candidate.also[k.name]) if k.name in candidate.also else u for k, u in zip(base, z0, strict=True)]
+            trials.append(np.concatenate([moved, own]))
+    steps = [max(a) for a in zip(*(task.substeps(model, t) for t in trials[:: max(1, len(trials) // 8)]), strict=True)]
+    found = task.residuals(task.predict(model, trials, steps))
+    costs = [float(np.abs(r).sum()) if np.isfinite(r).all() else np.inf for r in found]
+    z = trials[int(np.argmin(costs))]
+    # the priors of what it adds speak of the start that was chosen
+    knobs = [replace(k, start=k.decode(u)) if k.log else k for k, u in zip(model.knobs[len(base) :], z[len(base) :], strict=True)]
+    z = np.concatenate([z[: len(base)], [0.0 if k.log else u for k, u in zip(knobs, z[len(base) :], strict=True)]])
+    return replace(model, knobs=(*base, *knobs)), z
+
+
+def _without(found, candidate):
+    """The fit with the candidate's knobs taken out; what they turned is at its default, and off."""
+    own = {k.name for k in candidate.knobs}
+    keep = [k.name not in own for k in found.model.knobs]
+    values = {n: v for n, v in found.model.values.items() if n not in candidate.values}
+    model = Model(found.model.terms, values, tuple(k for k, kept in zip(found.model.knobs, keep, strict=True) if kept))
+    return replace(found, model=model, z=found.z[np.array(keep)])
+
+
+def _ablated(task, validation, found, accepted, iterations):
+    """The fit without those of the earlier ones that it no longer needs, and their names."""
+    dropped = []
+    for one in accepted[:-1]:
+        if any(other.needs == one.name for other in accepted if other.name not in dropped):
+            continue
+        bare = _without(found, one)
+        bare = fit(task, bare.model, bare.z, iterations=iterations)
+        loss, spread = _paired(errors(validation, bare.model, bare.z), errors(validation, found.model, found.z))
+        if not loss > spread:
+            found = bare
+            dropped.append(one.name)
+    return found, tuple(dropped)
+
+
+def _paired(before, after):
+    """Mean and standard error of the gain over recordings."""
+    gain = before - after
+    if not np.isfinite(gain).all():
+        return (-np.inf if not np.isfinite(after).all() else np.inf), 0.0
+    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else 0.0
