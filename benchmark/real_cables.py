@@ -5,15 +5,17 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import pairwise, product, zip_longest
+from pathlib import Path
 
 import numpy as np
 
 from ..datasets.collection import Collection
+from ..datasets.deform import LAYOUT
 from ..datasets.scenario import Observed, Scenario
 from ..diagnosis.fit import Fit, Task, fit
 from ..diagnosis.hypotheses import catalogue
-from ..diagnosis.ladder import Candidate, Climb, climb
+from ..diagnosis.ladder import Candidate, climb
 from ..diagnosis.model import Knob, Model, Simulator
 from ..diagnosis.replica import Replica, build_replica
 from ..physics.terms import AddedMass, Dashpot, Gravity, LinearDrag, Springs
@@ -21,6 +23,7 @@ from ..physics.terms.bending import Bending
 from ..physics.terms.braces import Braces
 from ..physics.terms.natural_curvature import ENDS, MODES, NaturalCurvature
 from ..physics.terms.stiffness_level import StiffnessLevel
+from .cable_results import FIELDS, Found, write
 
 __all__ = ["CableTask", "Plan", "cable_replica", "candidates", "first_twin", "score", "study", "window"]
 
@@ -29,13 +32,14 @@ STIFFEST = 5e3  # N: at a cable's own weight this stretches by less than 0.1 %, 
 NODES = 64  # markers that a cable may have
 TRAIN, VALIDATION = 8, 8  # recordings
 SECONDS = 2.5  # of each that are fitted
+SEEN_START = 7  # frames that tell how fast a fitted recording begins: 0.2 mm of jitter is then 1.2 cm/s at 100 Hz
 SCOUTED = 3  # recordings on which starts are tried
 JITTER = 2e-4  # m, of the markers of a recording
+LIMP = {"brace_share": 1e-3}  # a chain of links
 DRAWS = 48  # random natural shapes tried as starts
 PLACES = (0.25, 0.5, 0.75)  # of the arc, where more mass is looked for
 BENT = 2.0  # 1/m, a natural curvature as a cable off a reel has: 0.5 m radius
 ASKEW = 0.3  # further angle at which a grip may hold it, as 2 tan(angle / 2)
-FIELDS = ("cable", "seed", "step", "term", "recording", "all_mm", "free_mm")
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,16 @@ def cable_replica(recording: Observed, like: Replica | None = None, lengths: Seq
             links[a, b] = links[b, a] = step
     for e, (a, b) in enumerate(system.springs.tolist()):
         rest[e] = links.get((a, b), rest[e])
-    return replace(replica, system=replace(system, rest=rest, masses=mass, home=place, chains=chains, span=None))
+    start = _speed(np.where(recording.visible[..., None], recording.points, np.nan)[:, _order(replica)], recording.fps)
+    return replace(replica, system=replace(system, rest=rest, masses=mass, home=place, chains=chains, span=None, velocities=start))
+
+
+def _speed(points, fps):
+    """(n, 3) m/s in the first frame of ``points`` (T, n, 3), by the parabola through ``SEEN_START`` of them; 0 where not seen."""
+    early = points[:SEEN_START]
+    slopes = np.linalg.pinv((np.arange(len(early))[:, None] / fps) ** np.arange(min(3, len(early))))
+    found = np.einsum("t,tnc->nc", slopes[1], early) if len(early) > 1 else np.zeros(points.shape[1:])
+    return np.where(np.isfinite(found), found, 0.0)
 
 
 def candidates(rng: np.random.Generator, length: float) -> list[Candidate]:
@@ -103,7 +116,7 @@ def candidates(rng: np.random.Generator, length: float) -> list[Candidate]:
         held = term.name.startswith("grip")
         staged = term.stage in ("axial", "strand", "hinge", "body", "velocity", "setup")
         if staged and not ground and not held and not term.effect.place and term.name not in ("anisotropy",):
-            also = {"brace_share": 1e-3} if term is Bending else {}
+            also = LIMP if term is Bending else {}
             needs = "bending" if term.name == "torsion" else ""
             found.append(Candidate.of(term, also=also, needs=needs))
     found += [_more_mass(length), _natural_shape(rng), _first_shape()]
@@ -127,12 +140,18 @@ def _natural_shape(rng):
     ends = [f"natural_{axis}_{end}" for axis in "ab" for end in ENDS]
     knobs = [Knob(n, 0.0, BENT, -50.0, 50.0) for n in modes] + [Knob(n, 0.0, ASKEW, -1.5, 1.5) for n in ends]
     scale = np.array([1.0 / (1 + int(n[-1])) for n in modes] + [0.3] * len(ends)) * [k.spread for k in knobs]
-    return Candidate("natural_curvature", tuple(knobs), rng.normal(size=(DRAWS, len(knobs))) * scale, needs="bending")
+    return Candidate("natural_curvature", tuple(knobs), rng.normal(size=(DRAWS, len(knobs))) * scale, also=LIMP, needs="bending")
 
 
 def _first_shape():
     knob = Knob("natural_kept", 0.0, 0.5, 0.0, 1.5)
     return Candidate("first_shape_natural", (knob,), np.array([[0.2], [0.5], [1.0]]), needs="bending")
+
+
+def _braces(base):
+    """What holds the twin's bends, which it no longer needs once it has bending stiffness."""
+    knobs = tuple(k for k in base.model.knobs if k.name == "brace_share")
+    return Candidate("braces", knobs, np.zeros((0, 1)), off={"brace_share": 0.0})
 
 
 def all_terms() -> tuple:
@@ -167,18 +186,18 @@ def first_twin(task: Task, scouting: Task, *, iterations: int) -> Fit:
 
 
 def parted(collection: Collection, rng: np.random.Generator, plan: Plan) -> tuple[list[Scenario], list[Scenario]]:
-    """Training and validation recordings, drawn among those that may be fitted; no unbroken take is on both sides."""
+    """Training and validation recordings of those that may be fitted: each from half of the unbroken takes, as evenly as they allow."""
     sources = [collection.load(name) for name in collection.pairs[0].sources]
     takes = rng.permutation(sorted({s.session for s in sources}))
-    order = [sources[i] for i in rng.permutation(len(sources))]
-    held_out: list[Scenario] = []
-    for take in takes:
-        if len(held_out) < plan.validation:
-            held_out += [s for s in order if s.session == take]
-    fitted = [s for s in order if s.session not in {h.session for h in held_out}]
-    if not fitted or len(held_out) < 2:
+    if len(takes) < 2:
         raise ValueError(f"the training recordings must come from at least two takes, got {len(takes)} ({collection.name})")
-    return fitted[: plan.train], held_out[: plan.validation]
+    order = [sources[i] for i in rng.permutation(len(sources))]
+
+    def drawn(chosen, count):
+        rows = [[s for s in order if s.session == take] for take in chosen]
+        return [s for row in zip_longest(*rows) for s in row if s is not None][:count]
+
+    return drawn(takes[0::2], plan.train), drawn(takes[1::2], plan.validation)
 
 
 def lengths_of(recordings: Sequence[Observed], like: Replica) -> list[np.ndarray]:
@@ -209,14 +228,15 @@ class Cable:
         return cable_replica(recording, self.like, self.lengths)
 
 
-def score(cable: Cable, scenario: Scenario, fits: Sequence[Fit], *, device: str = "cpu") -> list[tuple[float, float]]:
+def score(cable: Cable, scenario: Scenario, fits: Sequence[Fit], *, device: str = "cpu", moving: bool = True) -> list[tuple[float, float]]:
     """(all markers, free markers) mean absolute coordinate error [m] of each fit's roll-out over the whole recording.
 
-    It starts where the markers are in the first frame, as fast as they go from there to the second; then only the driven ones are known.
+    It starts where the markers are in the first frame, as fast as they go from there to the second (DEFORM is given these two frames too),
+    or where not ``moving`` at rest; then only the driven ones are known.
     """
     replica = cable.replica(scenario)
     order = _order(replica)
-    start = (scenario.points[1] - scenario.points[0])[order] * scenario.fps
+    start = (scenario.points[1] - scenario.points[0])[order] * scenario.fps if moving else np.zeros((len(order), 3))
     replica = replace(replica, system=replace(replica.system, velocities=start))
     task = CableTask([Simulator(replica, device=device)], [scenario.frame_count], 0.0)
     driven = np.isin(np.arange(len(order)), replica.system.grips)
@@ -228,27 +248,6 @@ def score(cable: Cable, scenario: Scenario, fits: Sequence[Fit], *, device: str 
         lost = ~np.isfinite(predicted).all()
         found.append((np.inf, np.inf) if lost else (float(np.nanmean(gap)), float(np.nanmean(gap[:, ~driven]))))
     return found
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a study of one cable with one seed found: the steps' names, their fits, and rows of eval errors."""
-
-    cable: str
-    seed: int
-    climb: Climb
-    names: tuple[str, ...]
-    fits: tuple[Fit, ...]
-    rows: list[dict]
-    seconds: float
-
-    def means(self) -> list[tuple[str, float, float]]:
-        """(step, all markers, free markers) mean eval errors [mm]."""
-        found = []
-        for k, name in enumerate(self.names):
-            mine = [r for r in self.rows if r["step"] == k]
-            found.append((name, *(float(np.mean([r[c] for r in mine])) for c in ("all_mm", "free_mm"))))
-        return found
 
 
 def study(
@@ -264,20 +263,24 @@ def study(
     scouting = CableTask(task.simulators[:SCOUTED], task.frames[:SCOUTED], 0.0)
     report(f"{collection.name} seed {seed}: fitted {', '.join(s.name for s in fitted)}; validation {', '.join(s.name for s in held_out)}")
     base = first_twin(task, scouting, iterations=plan.iterations)
-    found = climb(task, validation, scouting, base, candidates(rng, cable.arc), iterations=plan.iterations, most=plan.most, report=report)
+    asked, doubted = candidates(rng, cable.arc), [_braces(base)]
+    options = dict(iterations=plan.iterations, doubted=doubted, most=plan.most, report=report)
+    found = climb(task, validation, scouting, base, asked, **options)
     both = _task(cable, [*fitted, *held_out], rng, np.inf, device)
     last = fit(both, found.last.model, found.last.z, iterations=plan.iterations)
-    names = ("twin", *(f"+ {s.name}" for s in found.steps), "all refitted")
+    names = ("twin", *(" - ".join([f"+ {s.name}", *s.dropped]) for s in found.steps), "all refitted")
     fits = (found.first, *(s.fit for s in found.steps), last)
     rows = []
     for pair in collection.pairs:
         scenario = collection.load(pair.target)
-        for k, (whole, free) in enumerate(score(cable, scenario, fits, device=device)):
-            values = (collection.name, seed, k, names[k], scenario.name, round(1e3 * whole, 4), round(1e3 * free, 4))
-            rows.append(dict(zip(FIELDS, values, strict=True)))
-    done = Found(collection.name, seed, found, names, fits, rows, time.perf_counter() - begun)
-    for name, whole, free in done.means():
-        report(f"eval {name}: {whole:.2f} mm (free {free:.2f})")
+        found_here = zip(*(score(cable, scenario, fits, device=device, moving=moving) for moving in (True, False)), strict=True)
+        for k, (moving, still) in enumerate(found_here):
+            errors = (round(1e3 * e, 4) for e in (*moving, *still))
+            rows.append(dict(zip(FIELDS, (collection.name, seed, k, names[k], scenario.name, *errors), strict=True)))
+    published = {who: value for (_task, who, _metric), value in collection.published.items()}
+    done = Found(collection.name, seed, found, names, fits, rows, time.perf_counter() - begun, published)
+    for k, name in enumerate(names):
+        report(f"eval {name}: {done.mean(k, 'all_mm'):.2f} mm (free {done.mean(k, 'free_mm'):.2f})")
     return done
 
 
@@ -290,3 +293,24 @@ def _task(cable, scenarios, rng, seconds, device):
         simulators.append(Simulator(cable.replica(window(scenario.observed(), first, first + count)), device=device))
         frames.append(count)
     return CableTask(simulators, frames, 0.0)
+
+
+def run(
+    data: Path, out: Path, *, seeds: Sequence[int], plan: Plan | None = None, device: str = "cpu", report: Callable[[str], None] = print
+) -> list[Found]:
+    """Study every cable in ``data``, write what was found to ``out``: cables.csv, cables_steps.csv, cables_values.csv, and cables.md.
+
+    Raises ValueError where there is no cable.
+    """
+    inside = sorted(f for f in data.iterdir() if f.is_dir()) if data.is_dir() else []
+    folders = [f for f in (data, *inside) if f.is_dir() and LAYOUT.matches(f)]
+    if not folders:
+        raise ValueError(f"{data}: must be or hold folders of cables (DLO1/train/*.pkl, DLO1/eval/*.pkl)")
+    found = []
+    for folder in folders:
+        collection = LAYOUT.open(folder)
+        report(collection.note)
+        for seed in seeds:
+            found.append(study(collection, seed=seed, plan=plan, device=device, report=report))
+            write(found, out)
+    return found

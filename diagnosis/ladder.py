@@ -16,6 +16,7 @@ __all__ = ["Candidate", "Climb", "Rung", "Step", "climb", "errors"]
 
 SCOUT = 2  # Gauss-Newton steps after which most candidates are left
 FINALISTS = 4
+SURE = 2.0  # standard errors that a gain must exceed: the best of several exceeds one by chance
 DECADES = np.arange(-2.0, 4.01, 0.5)  # of a typical amplitude, tried as starts
 
 
@@ -29,6 +30,7 @@ class Candidate:
     starts    (S, K) values of the knobs from which the best is taken
     also      values of knobs that the model has already, tried beside where they are
     needs     name of a candidate without which it means nothing, or ""
+    off       values of what the twin has from the beginning and may turn out not to need, when it is taken out
     """
 
     name: str
@@ -38,6 +40,7 @@ class Candidate:
     values: dict[str, float] = field(default_factory=dict)
     also: dict[str, float] = field(default_factory=dict)
     needs: str = ""
+    off: dict[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, term: type[Term], **options) -> Candidate:
@@ -63,7 +66,11 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Rung:
-    """One candidate refitted: mean validation error [m], its gain over the twin without it at equal budget, the gain's standard error."""
+    """One candidate refitted.
+
+    error         mean validation error [m]
+    gain, spread  mean over the validation recordings, and its standard error, of log(error without it / error with it) at equal budget
+    """
 
     name: str
     error: float
@@ -123,29 +130,31 @@ def climb(
     candidates: Sequence[Candidate],
     *,
     iterations: int,
+    doubted: Sequence[Candidate] = (),
     most: int = 8,
     report: Callable[[str], None] = lambda text: None,
 ) -> Climb:
     """Add the candidate that helps ``validation`` most, refit everything, see whether earlier ones are still needed, and go on.
 
     All fits of a step start from the same twin and take the same number of steps, the twin without anything new too. A candidate is
-    accepted where its gain, paired over the validation recordings, exceeds its standard error, and one that was accepted stays while that
-    is so. ``scouting`` is a part of ``task`` on which starts are chosen.
+    accepted where its gain, paired over the validation recordings, exceeds ``SURE`` standard errors, the one with the greatest gain first,
+    and one that was accepted stays while that is so; ``doubted`` parts of the twin are treated as if they had been accepted. ``scouting`` is a part of ``task`` on which starts are
+    chosen.
     """
-    steps, found, accepted = [], base, []
+    steps, found, accepted = [], base, list(doubted)
     first = base
     start_error = float(errors(validation, base.model, base.z).mean())
     rivals: tuple[Rung, ...] = ()
     while len(steps) < most:
-        plain = fit(task, found.model, found.z, iterations=SCOUT + iterations)
+        plain = _fit(task, found.model, found.z, SCOUT + iterations)
         before = errors(validation, plain.model, plain.z)
         have = {a.name for a in accepted}
         left = [c for c in candidates if c.name not in have and (not c.needs or c.needs in have)]
-        scouts = [(c, fit(task, *_started(scouting, found, c), iterations=SCOUT)) for c in left]
+        scouts = [(c, _fit(task, *_started(scouting, found, c), SCOUT)) for c in left]
         scouts = sorted((s for s in scouts if np.isfinite(s[1].loss)), key=lambda s: s[1].loss)[:FINALISTS]
         tried = []
         for candidate, scout in scouts:
-            full = fit(task, scout.model, scout.z, iterations=iterations)
+            full = _fit(task, scout.model, scout.z, iterations)
             after = errors(validation, full.model, full.z)
             gain, spread = _paired(before, after)
             tried.append((candidate, full, Rung(candidate.name, float(after.mean()), gain, spread)))
@@ -153,7 +162,7 @@ def climb(
                 f"{candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {1e3 * gain:.2f} +- {1e3 * spread:.2f}"
             )
         rivals = tuple(t[2] for t in tried)
-        good = [t for t in tried if t[2].gain > t[2].spread]
+        good = [t for t in tried if t[2].gain > SURE * t[2].spread]
         if not good:
             found = plain if _paired(errors(validation, found.model, found.z), before)[0] > 0 else found
             break
@@ -170,9 +179,17 @@ def climb(
         whole = errors(validation, found.model, found.z)
         for one in accepted:
             bare = _without(found, one)
-            bare = fit(task, bare.model, bare.z, iterations=iterations)
+            bare = _fit(task, bare.model, bare.z, iterations)
             losses[one.name] = _paired(errors(validation, bare.model, bare.z), whole)
     return Climb(first, start_error, tuple(steps), rivals, losses)
+
+
+def _fit(task, model, z, iterations) -> Fit:
+    """``fit``, with an infinite loss where the twin is so touchy that its slopes are no numbers."""
+    try:
+        return fit(task, model, z, iterations=iterations)
+    except np.linalg.LinAlgError:
+        return Fit(model, np.array(z, float), np.inf, np.full((len(z),) * 2, np.nan), (np.inf,))
 
 
 def _started(task, found, candidate):
@@ -203,7 +220,7 @@ def _without(found, candidate):
     """The fit with the candidate's knobs taken out; what they turned is at its default, and off."""
     own = {k.name for k in candidate.knobs}
     keep = [k.name not in own for k in found.model.knobs]
-    values = {n: v for n, v in found.model.values.items() if n not in candidate.values}
+    values = {n: v for n, v in found.model.values.items() if n not in candidate.values} | candidate.off
     model = Model(found.model.terms, values, tuple(k for k, kept in zip(found.model.knobs, keep, strict=True) if kept))
     return replace(found, model=model, z=found.z[np.array(keep)])
 
@@ -215,17 +232,19 @@ def _ablated(task, validation, found, accepted, iterations):
         if any(other.needs == one.name for other in accepted if other.name not in dropped):
             continue
         bare = _without(found, one)
-        bare = fit(task, bare.model, bare.z, iterations=iterations)
+        bare = _fit(task, bare.model, bare.z, iterations)
         loss, spread = _paired(errors(validation, bare.model, bare.z), errors(validation, found.model, found.z))
-        if not loss > spread:
+        if not loss > SURE * spread:
             found = bare
             dropped.append(one.name)
     return found, tuple(dropped)
 
 
 def _paired(before, after):
-    """Mean and standard error of the gain over recordings."""
-    gain = before - after
-    if not np.isfinite(gain).all():
-        return (-np.inf if not np.isfinite(after).all() else np.inf), 0.0
-    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain))) if len(gain) > 1 else 0.0
+    """Mean and standard error over recordings of log(before / after): the hard ones do not outvote the others."""
+    if not np.isfinite(after).all():
+        return -np.inf, 0.0
+    if not np.isfinite(before).all():
+        return np.inf, 0.0
+    gain = np.log(before / after)
+    return float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(len(gain)))
