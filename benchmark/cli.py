@@ -1,4 +1,4 @@
-"""The command line: ``twinbench run | table | picture | check | download | list``."""
+"""The command line: ``twinbench run | table | picture | check | download | list | real``."""
 
 from __future__ import annotations
 
@@ -230,6 +230,32 @@ class List:
         return 0
 
 
+@dataclass(frozen=True)
+class Real:
+    """Ask twins of real recordings which physics they lack, and score them with it on recordings that nobody fitted."""
+
+    study: Annotated[Positional[str], arg(metavar="STUDY")]
+    """cables: motion capture of ropes held at both ends (DEFORM)."""
+    data: Annotated[Path, arg(metavar="PATH")] = Path("data_set")
+    """Folder of the recordings, or of folders of them."""
+    seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0, 1, 2)
+    """Seeds; each draws other recordings to fit and other starts."""
+    device: str = "cpu"
+    """cpu or cuda."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("results/real")
+    """Folder for the tables."""
+
+    def __call__(self) -> int:
+        from .real_cables import run
+
+        studies = {"cables": run}
+        _known("study", [self.study], studies)
+        _known("device", [self.device], _DEVICES)
+        studies[self.study](self.data, _folder(self.out), seeds=self.seeds, device=self.device)
+        print(f"Written to {self.out}")
+        return 0
+
+
 _PRESETS, _DEVICES, _SPLITS = ("quick", "full"), ("cpu", "cuda"), ("published", "clean")
 
 
@@ -289,7 +315,7 @@ def _metrics() -> dict:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    commands = {"run": Run, "table": Table, "picture": Picture, "check": Check, "download": Download, "list": List}
+    commands = {"run": Run, "table": Table, "picture": Picture, "check": Check, "download": Download, "list": List, "real": Real}
     try:
         if arguments == ["--version"]:
             print(f"twinbench {version('twinbench')}")

@@ -138,8 +138,8 @@ def climb(
 
     All fits of a step start from the same twin and take the same number of steps, the twin without anything new too. A candidate is
     accepted where its gain, paired over the validation recordings, exceeds ``SURE`` standard errors, the one with the greatest gain first,
-    and one that was accepted stays while that is so; ``doubted`` parts of the twin are treated as if they had been accepted. ``scouting`` is a part of ``task`` on which starts are
-    chosen.
+    and one that was accepted stays while that is so; ``doubted`` parts of the twin are treated as if they had been accepted. ``scouting``
+    is a part of ``task`` on which starts are chosen.
     """
     steps, found, accepted = [], base, list(doubted)
     first = base
