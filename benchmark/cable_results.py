@@ -27,6 +27,7 @@ class Found:
     names, fits  of the steps, the twin first
     rows         ``FIELDS`` of every eval recording after every step
     published    errors [m] of others, by name
+    fitted       recordings that were fitted or that candidates were accepted on
     """
 
     cable: str
@@ -37,6 +38,7 @@ class Found:
     rows: list[dict]
     seconds: float
     published: dict[str, float]
+    fitted: tuple[str, ...] = ()
 
     def mean(self, step: int, field: str) -> float:
         """Mean over the eval recordings of a field of the rows of one step."""

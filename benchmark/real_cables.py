@@ -44,13 +44,17 @@ ASKEW = 0.3  # further angle at which a grip may hold it, as 2 tan(angle / 2)
 
 @dataclass(frozen=True)
 class Plan:
-    """How much work a study does: recordings fitted and held out of the fits, seconds of each that are fitted, Gauss-Newton steps."""
+    """How much work a study does: recordings fitted and held out of the fits, seconds of each that are fitted, Gauss-Newton steps.
+
+    ``effects`` names the candidates that are asked about; all of them where it is empty.
+    """
 
     train: int = TRAIN
     validation: int = VALIDATION
     seconds: float = SECONDS
     iterations: int = 5
     most: int = 8
+    effects: tuple[str, ...] = ()
 
 
 @dataclass
@@ -154,14 +158,14 @@ def _braces(base):
     return Candidate("braces", knobs, np.zeros((0, 1)), off={"brace_share": 0.0})
 
 
-def all_terms() -> tuple:
+def all_terms(asked: Sequence[Candidate]) -> tuple:
     """The twin's terms and all candidates' laws, off: one set of kernels for all."""
     twin = {Springs, Dashpot, Gravity, LinearDrag, StiffnessLevel, Braces, NaturalCurvature}
-    laws = {t for c in candidates(np.random.default_rng(0), 1.0) for t in c.terms if t.stage != "setup"}
+    laws = {t for c in asked for t in c.terms if t.stage != "setup"}
     return tuple(sorted(twin | laws, key=lambda t: t.name))
 
 
-def twin_model() -> Model:
+def twin_model(asked: Sequence[Candidate]) -> Model:
     """The spring-mass twin: springs between neighbours and next neighbours, a dashpot in each, drag."""
     knobs = (
         Knob("body_stiffness", 2e3, 1.0, 1.0, STIFFEST, log=True),
@@ -169,12 +173,12 @@ def twin_model() -> Model:
         Knob("dashpot_damping", 1.0, 1.5, 1e-3, 30.0, log=True),
         Knob("drag_damping", 0.3, 1.5, 1e-3, 20.0, log=True),
     )
-    return Model(all_terms(), {"natural_kept": 0.0}, knobs)
+    return Model(all_terms(asked), {"natural_kept": 0.0}, knobs)
 
 
-def first_twin(task: Task, scouting: Task, *, iterations: int) -> Fit:
+def first_twin(task: Task, scouting: Task, asked: Sequence[Candidate], *, iterations: int) -> Fit:
     """The spring-mass twin fitted from the best point of a grid."""
-    model = twin_model()
+    model = twin_model(asked)
     grid = product((300.0, 2e3, STIFFEST), (1e-4, 1e-3, 1e-2, 0.1, 0.5), (0.1, 1.0, 10.0), (0.1, 1.0))
     trials = [np.array([k.encode(v) for k, v in zip(model.knobs, point, strict=True)]) for point in grid]
     steps = [max(a) for a in zip(*(scouting.substeps(model, t) for t in trials[::7]), scouting.substeps(model, trials[-1]), strict=True)]
@@ -262,8 +266,9 @@ def study(
     validation = _task(cable, held_out, rng, np.inf, device)
     scouting = CableTask(task.simulators[:SCOUTED], task.frames[:SCOUTED], 0.0)
     report(f"{collection.name} seed {seed}: fitted {', '.join(s.name for s in fitted)}; validation {', '.join(s.name for s in held_out)}")
-    base = first_twin(task, scouting, iterations=plan.iterations)
-    asked, doubted = candidates(rng, cable.arc), [_braces(base)]
+    asked = [c for c in candidates(rng, cable.arc) if not plan.effects or c.name in plan.effects]
+    base = first_twin(task, scouting, asked, iterations=plan.iterations)
+    doubted = [_braces(base)]
     options = dict(iterations=plan.iterations, doubted=doubted, most=plan.most, report=report)
     found = climb(task, validation, scouting, base, asked, **options)
     both = _task(cable, [*fitted, *held_out], rng, np.inf, device)
@@ -278,7 +283,9 @@ def study(
             errors = (round(1e3 * e, 4) for e in (*moving, *still))
             rows.append(dict(zip(FIELDS, (collection.name, seed, k, names[k], scenario.name, *errors), strict=True)))
     published = {who: value for (_task, who, _metric), value in collection.published.items()}
-    done = Found(collection.name, seed, found, names, fits, rows, time.perf_counter() - begun, published)
+    done = Found(
+        collection.name, seed, found, names, fits, rows, time.perf_counter() - begun, published, tuple(s.name for s in (*fitted, *held_out))
+    )
     for k, name in enumerate(names):
         report(f"eval {name}: {done.mean(k, 'all_mm'):.2f} mm (free {done.mean(k, 'free_mm'):.2f})")
     return done

@@ -158,9 +158,7 @@ def climb(
             after = errors(validation, full.model, full.z)
             gain, spread = _paired(before, after)
             tried.append((candidate, full, Rung(candidate.name, float(after.mean()), gain, spread)))
-            report(
-                f"{candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {1e3 * gain:.2f} +- {1e3 * spread:.2f}"
-            )
+            report(f"{candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {gain:.3f} +- {spread:.3f}")
         rivals = tuple(t[2] for t in tried)
         good = [t for t in tried if t[2].gain > SURE * t[2].spread]
         if not good:
