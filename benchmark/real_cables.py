@@ -15,7 +15,7 @@ from ..datasets.deform import LAYOUT
 from ..datasets.scenario import Observed, Scenario
 from ..diagnosis.fit import Fit, Task, fit
 from ..diagnosis.hypotheses import catalogue
-from ..diagnosis.ladder import Candidate, climb
+from ..diagnosis.ladder import Candidate, balanced, climb
 from ..diagnosis.model import Knob, Model, Simulator
 from ..diagnosis.replica import Replica, build_replica
 from ..physics.terms import AddedMass, Dashpot, Gravity, LinearDrag, Springs
@@ -30,10 +30,11 @@ __all__ = ["CableTask", "Plan", "cable_replica", "candidates", "first_twin", "sc
 LINE_DENSITY = 1.0  # kg/m: gravity and inertia grow alike, so all stiffness is known per mass only, as E I / (rho A)
 STIFFEST = 5e3  # N: at a cable's own weight this stretches by less than 0.1 %, and a stiffer one only needs shorter steps
 NODES = 64  # markers that a cable may have
-TRAIN, VALIDATION = 8, 8  # recordings
-SECONDS = 2.5  # of each that are fitted
+TRAIN, VALIDATION = 12, 16  # recordings
+SECONDS = 1.5  # of each that are fitted
 SEEN_START = 7  # frames that tell how fast a fitted recording begins: 0.2 mm of jitter is then 1.2 cm/s at 100 Hz
-SCOUTED = 3  # recordings on which starts are tried
+DRAWN = 5  # windows of a recording that are tried until one begins where its markers' order can be told
+SCOUTED = 5  # recordings on which starts are tried
 JITTER = 2e-4  # m, of the markers of a recording
 LIMP = {"brace_share": 1e-3}  # a chain of links
 DRAWS = 48  # random natural shapes tried as starts
@@ -46,14 +47,16 @@ ASKEW = 0.3  # further angle at which a grip may hold it, as 2 tan(angle / 2)
 class Plan:
     """How much work a study does: recordings fitted and held out of the fits, seconds of each that are fitted, Gauss-Newton steps.
 
-    ``effects`` names the candidates that are asked about; all of them where it is empty.
+    At the end everything is fitted once more, to ``last`` of all recordings that may be. ``effects`` names the candidates that are asked
+    about; all of them where it is empty.
     """
 
     train: int = TRAIN
     validation: int = VALIDATION
     seconds: float = SECONDS
-    iterations: int = 5
+    iterations: int = 6
     most: int = 8
+    last: int = 30
     effects: tuple[str, ...] = ()
 
 
@@ -84,7 +87,7 @@ def cable_replica(recording: Observed, like: Replica | None = None, lengths: Seq
     """
     replica = build_replica(recording, nodes=NODES)
     chains = like.system.chains if like else replica.system.chains
-    if not chains or len(replica.nodes) != recording.counts[0]:
+    if not chains or len(replica.nodes) != recording.counts[0] or (like and (_order(replica) != _order(like)).any()):
         raise ValueError(f"the recording must show a rope held by markers, and their order, got none (scenario {recording.name})")
     system = replica.system
     lengths = lengths or [np.linalg.norm(np.diff(system.positions[c], axis=0), axis=1) for c in chains]
@@ -159,9 +162,9 @@ def _braces(base):
 
 
 def all_terms(asked: Sequence[Candidate]) -> tuple:
-    """The twin's terms and all candidates' laws, off: one set of kernels for all."""
+    """The twin's terms, and the laws of hinges among the candidates', off: what a rope is asked about first shares one set of kernels."""
     twin = {Springs, Dashpot, Gravity, LinearDrag, StiffnessLevel, Braces, NaturalCurvature}
-    laws = {t for c in asked for t in c.terms if t.stage != "setup"}
+    laws = {t for c in asked for t in c.terms if t.stage == "hinge"}
     return tuple(sorted(twin | laws, key=lambda t: t.name))
 
 
@@ -179,14 +182,15 @@ def twin_model(asked: Sequence[Candidate]) -> Model:
 def first_twin(task: Task, scouting: Task, asked: Sequence[Candidate], *, iterations: int) -> Fit:
     """The spring-mass twin fitted from the best point of a grid."""
     model = twin_model(asked)
-    grid = product((300.0, 2e3, STIFFEST), (1e-4, 1e-3, 1e-2, 0.1, 0.5), (0.1, 1.0, 10.0), (0.1, 1.0))
+    grid = product((300.0, 2e3), (1e-3, 1e-2, 0.1, 0.5), (0.1, 1.0, 10.0), (0.1, 0.5, 2.0))
     trials = [np.array([k.encode(v) for k, v in zip(model.knobs, point, strict=True)]) for point in grid]
     steps = [max(a) for a in zip(*(scouting.substeps(model, t) for t in trials[::7]), scouting.substeps(model, trials[-1]), strict=True)]
     residual = scouting.residuals(scouting.predict(model, trials, steps))
-    costs = [float(r @ r) if np.isfinite(r).all() else np.inf for r in residual]
+    costs = [float(np.abs(r).sum()) if np.isfinite(r).all() else np.inf for r in residual]
     best = trials[int(np.argmin(costs))]
     knobs = tuple(replace(k, start=k.decode(u)) for k, u in zip(model.knobs, best, strict=True))
-    return fit(task, replace(model, knobs=knobs), np.zeros(len(knobs)), iterations=iterations)
+    model, start = replace(model, knobs=knobs), np.zeros(len(knobs))
+    return fit(balanced(task, model, start), model, start, iterations=iterations)
 
 
 def parted(collection: Collection, rng: np.random.Generator, plan: Plan) -> tuple[list[Scenario], list[Scenario]]:
@@ -271,8 +275,10 @@ def study(
     doubted = [_braces(base)]
     options = dict(iterations=plan.iterations, doubted=doubted, most=plan.most, report=report)
     found = climb(task, validation, scouting, base, asked, **options)
-    both = _task(cable, [*fitted, *held_out], rng, np.inf, device)
-    last = fit(both, found.last.model, found.last.z, iterations=plan.iterations)
+    left = [collection.load(name) for name in collection.pairs[0].sources]
+    chosen = [left[i] for i in np.unique(np.linspace(0, len(left) - 1, min(len(left), plan.last)).astype(int))]
+    both = _task(cable, chosen, rng, plan.seconds, device)
+    last = fit(balanced(both, found.last.model, found.last.z), found.last.model, found.last.z, iterations=plan.iterations)
     names = ("twin", *(" - ".join([f"+ {s.name}", *s.dropped]) for s in found.steps), "all refitted")
     fits = (found.first, *(s.fit for s in found.steps), last)
     rows = []
@@ -296,9 +302,14 @@ def _task(cable, scenarios, rng, seconds, device):
     simulators, frames = [], []
     for scenario in scenarios:
         count = int(min(scenario.observed_frames, seconds * scenario.fps))
-        first = int(rng.integers(0, scenario.observed_frames - count + 1))
-        simulators.append(Simulator(cable.replica(window(scenario.observed(), first, first + count)), device=device))
-        frames.append(count)
+        for first in rng.integers(0, scenario.observed_frames - count + 1, DRAWN):
+            try:
+                replica = cable.replica(window(scenario.observed(), first, first + count))
+            except ValueError:  # a rope that lies on itself in that frame
+                continue
+            simulators.append(Simulator(replica, device=device))
+            frames.append(count)
+            break
     return CableTask(simulators, frames, 0.0)
 
 

@@ -12,10 +12,12 @@ from ..physics.terms.base import Term
 from .fit import Fit, Task, fit
 from .model import Knob, Model
 
-__all__ = ["Candidate", "Climb", "Rung", "Step", "climb", "errors"]
+__all__ = ["Candidate", "Climb", "Rung", "Step", "balanced", "climb", "errors"]
 
 SCOUT = 2  # Gauss-Newton steps after which most candidates are left
-FINALISTS = 4
+FINALISTS = 3
+LEAST = 1e-3  # m: recordings that are better than this count alike
+WORTH = 0.02  # share of the error that a gain must be: less is no physics that anybody misses
 SURE = 2.0  # standard errors that a gain must exceed: the best of several exceeds one by chance
 DECADES = np.arange(-2.0, 4.01, 0.5)  # of a typical amplitude, tried as starts
 
@@ -122,6 +124,19 @@ def errors(task: Task, model: Model, z) -> np.ndarray:
     return np.array(found)
 
 
+def balanced(task: Task, model: Model, z) -> Task:
+    """The task with every recording weighed by its rms residual at ``z``: a fit then lowers shares of errors, not the worst ones first."""
+    plain = replace(task, weights=[])
+    residuals = [_residual(plain, k, p) for k, p in enumerate(plain.predict(model, [z], plain.substeps(model, z)))]
+    size = np.array([np.sqrt(r @ r) if np.isfinite(r).all() else np.inf for r in residuals])
+    return replace(plain, weights=[w / max(s, LEAST) for w, s in zip(plain.weights, size, strict=True)])
+
+
+def _residual(task, k, predicted):
+    gap = np.where(np.isfinite(task.seen(k)), task.seen(k) - predicted[0], 0.0)
+    return (gap * task.weights[k][..., None]).ravel()
+
+
 def climb(
     task: Task,
     validation: Task,
@@ -137,7 +152,7 @@ def climb(
     """Add the candidate that helps ``validation`` most, refit everything, see whether earlier ones are still needed, and go on.
 
     All fits of a step start from the same twin and take the same number of steps, the twin without anything new too. A candidate is
-    accepted where its gain, paired over the validation recordings, exceeds ``SURE`` standard errors, the one with the greatest gain first,
+    accepted where its gain, paired over the validation recordings, exceeds ``SURE`` standard errors and ``WORTH``, the greatest gain first,
     and one that was accepted stays while that is so; ``doubted`` parts of the twin are treated as if they had been accepted. ``scouting``
     is a part of ``task`` on which starts are chosen.
     """
@@ -146,6 +161,7 @@ def climb(
     start_error = float(errors(validation, base.model, base.z).mean())
     rivals: tuple[Rung, ...] = ()
     while len(steps) < most:
+        task, scouting = (balanced(t, found.model, found.z) for t in (task, scouting))
         plain = _fit(task, found.model, found.z, SCOUT + iterations)
         before = errors(validation, plain.model, plain.z)
         have = {a.name for a in accepted}
@@ -160,7 +176,7 @@ def climb(
             tried.append((candidate, full, Rung(candidate.name, float(after.mean()), gain, spread)))
             report(f"{candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {gain:.3f} +- {spread:.3f}")
         rivals = tuple(t[2] for t in tried)
-        good = [t for t in tried if t[2].gain > SURE * t[2].spread]
+        good = [t for t in tried if _counts(t[2].gain, t[2].spread)]
         if not good:
             found = plain if _paired(errors(validation, found.model, found.z), before)[0] > 0 else found
             break
@@ -232,10 +248,14 @@ def _ablated(task, validation, found, accepted, iterations):
         bare = _without(found, one)
         bare = _fit(task, bare.model, bare.z, iterations)
         loss, spread = _paired(errors(validation, bare.model, bare.z), errors(validation, found.model, found.z))
-        if not loss > SURE * spread:
+        if not _counts(loss, spread):
             found = bare
             dropped.append(one.name)
     return found, tuple(dropped)
+
+
+def _counts(gain, spread):
+    return gain > max(SURE * spread, WORTH)
 
 
 def _paired(before, after):
