@@ -12,10 +12,12 @@ from ..physics.terms.base import Term
 from .fit import Fit, Task, fit
 from .model import Knob, Model
 
-__all__ = ["Candidate", "Climb", "Rung", "Step", "balanced", "climb", "errors"]
+__all__ = ["Candidate", "Climb", "Rung", "Step", "balanced", "climb", "errors", "led"]
 
-SCOUT = 2  # Gauss-Newton steps after which most candidates are left
-FINALISTS = 3
+LED = 1.0  # Hz, of the observer that leads simulations in the first steps of a fit
+STARTS = 3  # the best of a candidate's, which are tried further
+SCOUT = 2  # Gauss-Newton steps after which most candidates are left behind
+FINALISTS = 2  # that fit best then, and as many that do best on what is not fitted
 LEAST = 1e-3  # m: recordings that are better than this count alike
 WORTH = 0.02  # share of the error that a gain must be: less is no physics that anybody misses
 SURE = 2.0  # standard errors that a gain must exceed: the best of several exceeds one by chance
@@ -30,7 +32,7 @@ class Candidate:
     values    fixed parameters that it needs to be what it says
     knobs     that it adds; all amplitudes are 0 where it is absent
     starts    (S, K) values of the knobs from which the best is taken
-    also      values of knobs that the model has already, tried beside where they are
+    also      sets of values of knobs that the model has already, tried beside where these are
     needs     name of a candidate without which it means nothing, or ""
     off       values of what the twin has from the beginning and may turn out not to need, when it is taken out
     """
@@ -40,7 +42,7 @@ class Candidate:
     starts: np.ndarray
     terms: tuple[type[Term], ...] = ()
     values: dict[str, float] = field(default_factory=dict)
-    also: dict[str, float] = field(default_factory=dict)
+    also: tuple[dict[str, float], ...] = ()
     needs: str = ""
     off: dict[str, float] = field(default_factory=dict)
 
@@ -162,15 +164,20 @@ def climb(
     rivals: tuple[Rung, ...] = ()
     while len(steps) < most:
         task, scouting = (balanced(t, found.model, found.z) for t in (task, scouting))
-        plain = _fit(task, found.model, found.z, SCOUT + iterations)
+        plain = _fit(led(task), found.model, found.z, 2 * SCOUT)
+        plain = _fit(task, plain.model, plain.z, iterations)
+        if errors(validation, plain.model, plain.z).mean() > errors(validation, found.model, found.z).mean():
+            plain = found  # the twin as it was is the better rival
         before = errors(validation, plain.model, plain.z)
         have = {a.name for a in accepted}
         left = [c for c in candidates if c.name not in have and (not c.needs or c.needs in have)]
-        scouts = [(c, _fit(task, *_started(scouting, found, c), SCOUT)) for c in left]
-        scouts = sorted((s for s in scouts if np.isfinite(s[1].loss)), key=lambda s: s[1].loss)[:FINALISTS]
+        scouts = [(c, _scouted(scouting, found, c)) for c in left]
+        ranks = [sorted(scouts, key=key)[:FINALISTS] for key in (lambda s: s[1].loss, lambda s: _level(validation, s[1]))]
+        scouts = [s for s in scouts if any(s is r for rank in ranks for r in rank)]
         tried = []
         for candidate, scout in scouts:
-            full = _fit(task, scout.model, scout.z, iterations)
+            near = _fit(led(task), scout.model, scout.z, SCOUT)
+            full = _fit(task, near.model, near.z, iterations)
             after = errors(validation, full.model, full.z)
             gain, spread = _paired(before, after)
             tried.append((candidate, full, Rung(candidate.name, float(after.mean()), gain, spread)))
@@ -206,8 +213,20 @@ def _fit(task, model, z, iterations) -> Fit:
         return Fit(model, np.array(z, float), np.inf, np.full((len(z),) * 2, np.nan), (np.inf,))
 
 
+def led(task: Task, bandwidth: float = LED) -> Task:
+    """The task with simulations that are drawn to what was seen: they cannot run away, so that a fit finds its way from afar."""
+    return replace(task, bandwidth=bandwidth)
+
+
+def _scouted(task, found, candidate) -> Fit:
+    """A short fit, led, of the model with the candidate from each of its best starts; the one that ended best."""
+    task = led(task)
+    model, starts = _started(task, found, candidate)
+    return min((_fit(task, model, z, SCOUT) for z in starts), key=lambda f: f.loss)
+
+
 def _started(task, found, candidate):
-    """The model with the candidate, and the z of its best start on ``task``."""
+    """The model with the candidate, and (z, ...) of its best starts on ``task``."""
     model = found.model
     base = [k for k in model.knobs if k.name not in candidate.values]
     z0 = np.array([u for k, u in zip(model.knobs, found.z, strict=True) if k.name not in candidate.values])
@@ -217,17 +236,13 @@ def _started(task, found, candidate):
     for start in candidate.starts:
         own = [k.encode(float(np.clip(v, k.low, k.high))) for k, v in zip(candidate.knobs, start, strict=True)]
         trials.append(np.concatenate([z0, own]))
-        if candidate.also:
-            moved = [k.encode(candidate.also[k.name]) if k.name in candidate.also else u for k, u in zip(base, z0, strict=True)]
+        for also in candidate.also:
+            moved = [k.encode(also[k.name]) if k.name in also else u for k, u in zip(base, z0, strict=True)]
             trials.append(np.concatenate([moved, own]))
     steps = [max(a) for a in zip(*(task.substeps(model, t) for t in trials[:: max(1, len(trials) // 8)]), strict=True)]
     found = task.residuals(task.predict(model, trials, steps))
     costs = [float(np.abs(r).sum()) if np.isfinite(r).all() else np.inf for r in found]
-    z = trials[int(np.argmin(costs))]
-    # the priors of what it adds speak of the start that was chosen
-    knobs = [replace(k, start=k.decode(u)) if k.log else k for k, u in zip(model.knobs[len(base) :], z[len(base) :], strict=True)]
-    z = np.concatenate([z[: len(base)], [0.0 if k.log else u for k, u in zip(knobs, z[len(base) :], strict=True)]])
-    return replace(model, knobs=(*base, *knobs)), z
+    return model, [trials[i] for i in np.argsort(costs)[:STARTS]]
 
 
 def _without(found, candidate):
@@ -252,6 +267,11 @@ def _ablated(task, validation, found, accepted, iterations):
             found = bare
             dropped.append(one.name)
     return found, tuple(dropped)
+
+
+def _level(validation, found):
+    """Mean log error."""
+    return float(np.log(errors(validation, found.model, found.z)).mean()) if np.isfinite(found.loss) else np.inf
 
 
 def _counts(gain, spread):
