@@ -15,7 +15,7 @@ from .model import Knob, Model
 __all__ = ["Candidate", "Climb", "Rung", "Step", "balanced", "climb", "errors", "led"]
 
 LED = 1.0  # Hz, of the observer that leads simulations in the first steps of a fit
-STARTS = 3  # the best of a candidate's, which are tried further
+STARTS = 2  # the best of a candidate's, which are tried further
 SCOUT = 2  # Gauss-Newton steps after which most candidates are left behind
 FINALISTS = 2  # that fit best then, and as many that do best on what is not fitted
 LEAST = 1e-3  # m: recordings that are better than this count alike
@@ -54,7 +54,7 @@ class Candidate:
         for name in effect.amplitudes:
             p, size = known[name], abs(effect.typical[name]) or max(map(abs, effect.typical.values()))
             if p.low >= 0 and len(effect.amplitudes) == 1:
-                values = np.unique(np.clip(size * 10.0**DECADES, None, p.high))
+                values = np.unique(np.clip(size * 10.0 ** DECADES[:: 2 if effect.shapes else 1], None, p.high))
                 knobs.append(Knob(name, float(size), 1.0, 1e-6 * size, p.high, log=True, step=0.05))
             else:
                 values = np.array([0.0])
