@@ -15,7 +15,7 @@ from ..datasets.deform import LAYOUT
 from ..datasets.scenario import Observed, Scenario
 from ..diagnosis.fit import Fit, Task, fit
 from ..diagnosis.hypotheses import catalogue
-from ..diagnosis.ladder import STARTS, Candidate, balanced, climb, led
+from ..diagnosis.ladder import STARTS, Candidate, balanced, best, climb, led
 from ..diagnosis.model import Knob, Model, Simulator
 from ..diagnosis.replica import Replica, build_replica
 from ..physics.terms import AddedMass, Dashpot, Gravity, LinearDrag, Springs
@@ -193,7 +193,7 @@ def first_twin(task: Task, scouting: Task, asked: Sequence[Candidate], *, iterat
         knobs = tuple(replace(k, start=k.decode(u)) for k, u in zip(model.knobs, trials[i], strict=True))
         near = fit(led(weighed), replace(model, knobs=knobs), np.zeros(len(knobs)), iterations=iterations)
         fits.append(fit(weighed, near.model, near.z, iterations=iterations))
-    return min(fits, key=lambda f: f.loss)
+    return best(task, fits)
 
 
 def parted(collection: Collection, rng: np.random.Generator, plan: Plan) -> tuple[list[Scenario], list[Scenario]]:
@@ -281,7 +281,9 @@ def study(
     left = [collection.load(name) for name in collection.pairs[0].sources]
     chosen = [left[i] for i in np.unique(np.linspace(0, len(left) - 1, min(len(left), plan.last)).astype(int))]
     both = _task(cable, chosen, rng, plan.seconds, device)
-    last = fit(balanced(both, found.last.model, found.last.z), found.last.model, found.last.z, iterations=plan.iterations)
+    last = best(
+        both, [found.last, fit(balanced(both, found.last.model, found.last.z), found.last.model, found.last.z, iterations=plan.iterations)]
+    )
     names = ("twin", *(" - ".join([f"+ {s.name}", *s.dropped]) for s in found.steps), "all refitted")
     fits = (found.first, *(s.fit for s in found.steps), last)
     rows = []

@@ -12,7 +12,7 @@ from ..physics.terms.base import Term
 from .fit import Fit, Task, fit
 from .model import Knob, Model
 
-__all__ = ["Candidate", "Climb", "Rung", "Step", "balanced", "climb", "errors", "led"]
+__all__ = ["Candidate", "Climb", "Rung", "Step", "balanced", "best", "climb", "errors", "led"]
 
 LED = 1.0  # Hz, of the observer that leads simulations in the first steps of a fit
 STARTS = 2  # the best of a candidate's, which are tried further
@@ -164,10 +164,7 @@ def climb(
     rivals: tuple[Rung, ...] = ()
     while len(steps) < most:
         task, scouting = (balanced(t, found.model, found.z) for t in (task, scouting))
-        plain = _fit(led(task), found.model, found.z, 2 * SCOUT)
-        plain = _fit(task, plain.model, plain.z, iterations)
-        if errors(validation, plain.model, plain.z).mean() > errors(validation, found.model, found.z).mean():
-            plain = found  # the twin as it was is the better rival
+        plain = best(task, [found, _fit(task, found.model, found.z, SCOUT + iterations)])
         before = errors(validation, plain.model, plain.z)
         have = {a.name for a in accepted}
         left = [c for c in candidates if c.name not in have and (not c.needs or c.needs in have)]
@@ -176,8 +173,7 @@ def climb(
         scouts = [s for s in scouts if any(s is r for rank in ranks for r in rank)]
         tried = []
         for candidate, scout in scouts:
-            near = _fit(led(task), scout.model, scout.z, SCOUT)
-            full = _fit(task, near.model, near.z, iterations)
+            full = best(task, [scout, _fit(task, scout.model, scout.z, iterations)])
             after = errors(validation, full.model, full.z)
             gain, spread = _paired(before, after)
             tried.append((candidate, full, Rung(candidate.name, float(after.mean()), gain, spread)))
@@ -200,7 +196,7 @@ def climb(
         whole = errors(validation, found.model, found.z)
         for one in accepted:
             bare = _without(found, one)
-            bare = _fit(task, bare.model, bare.z, iterations)
+            bare = best(task, [bare, _fit(task, bare.model, bare.z, iterations)])
             losses[one.name] = _paired(errors(validation, bare.model, bare.z), whole)
     return Climb(first, start_error, tuple(steps), rivals, losses)
 
@@ -219,8 +215,7 @@ def led(task: Task, bandwidth: float = LED) -> Task:
 
 
 def _scouted(task, found, candidate) -> Fit:
-    """A short fit, led, of the model with the candidate from each of its best starts; the one that ended best."""
-    task = led(task)
+    """A short fit of the model with the candidate from each of its best starts; the one that ended best."""
     model, starts = _started(task, found, candidate)
     return min((_fit(task, model, z, SCOUT) for z in starts), key=lambda f: f.loss)
 
@@ -261,7 +256,7 @@ def _ablated(task, validation, found, accepted, iterations):
         if any(other.needs == one.name for other in accepted if other.name not in dropped):
             continue
         bare = _without(found, one)
-        bare = _fit(task, bare.model, bare.z, iterations)
+        bare = best(task, [bare, _fit(task, bare.model, bare.z, iterations)])
         loss, spread = _paired(errors(validation, bare.model, bare.z), errors(validation, found.model, found.z))
         if not _counts(loss, spread):
             found = bare
@@ -269,9 +264,14 @@ def _ablated(task, validation, found, accepted, iterations):
     return found, tuple(dropped)
 
 
-def _level(validation, found):
+def _level(task, found):
     """Mean log error."""
-    return float(np.log(errors(validation, found.model, found.z)).mean()) if np.isfinite(found.loss) else np.inf
+    return float(np.log(errors(task, found.model, found.z)).mean()) if np.isfinite(found.loss) else np.inf
+
+
+def best(task, fits):
+    """The fit with the least mean log error: least squares listen to the worst moments, which are not what counts here."""
+    return min(fits, key=lambda f: _level(task, f))
 
 
 def _counts(gain, spread):
