@@ -7,6 +7,9 @@ from itertools import product
 import numpy as np
 
 from ..physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, Springs
+from ..physics.terms.braces import Braces
+from ..physics.terms.far_springs import FarSprings
+from ..physics.terms.length_level import LengthLevel
 from ..physics.terms.mass_field import MassField
 from ..physics.terms.observer import Observer
 from ..physics.terms.stiffness_field import StiffnessField
@@ -19,6 +22,7 @@ __all__ = ["baseline_model", "first_fit"]
 
 LEVELS = tuple(10.0 ** np.arange(1.0, 5.01, 0.5))  # N per unit strain and particle of unit mass, tried first
 DASHPOTS = (0.5, 5.0)  # N s/m
+FAR = 1.5  # node spacings: what is farther apart are no next neighbours
 STARTS = 2  # of the grid's best that are fitted
 
 
@@ -26,7 +30,7 @@ def baseline_model(replicas: list[Replica]) -> Model:
     """PhysTwin's terms and the numbers that its fit moves, its stiffness field in a few smooth modes."""
     ground = any(r.recording.ground is not None for r in replicas)
     tied = any((r.recording.grips < 0).any() for r in replicas)
-    terms = [Springs, Dashpot, ControllerSprings, Gravity, LinearDrag, Observer, StiffnessLevel, StiffnessField, MassField]
+    terms = [Springs, Dashpot, ControllerSprings, Gravity, LinearDrag, Observer, StiffnessLevel, StiffnessField, MassField, LengthLevel]
     knobs = [
         Knob("body_stiffness", 1e3, 1.0, 1.0, 1e6, log=True),
         Knob("dashpot_damping", 3.0, 1.5, 1e-3, 200.0, log=True),
@@ -34,11 +38,19 @@ def baseline_model(replicas: list[Replica]) -> Model:
     ]
     values = {"controller_velocity": 1.0}
     if tied:
-        knobs.append(Knob("grip_stiffness", 3e3, 1.5, 1.0, 1e5, log=True))
+        knobs.append(Knob("grip_stiffness", 3e3, 1.5, 1.0, 2e4, log=True))
     if ground:
         terms.append(Ground)
         knobs.append(Knob("collide_fric", 0.4, 0.3, 0.0, 2.0))
         values["collide_elas"] = 0.05
+    knobs.append(Knob("length_level", 0.0, 0.01, -0.1, 0.1, step=0.1))
+    if any(r.system.chains for r in replicas):
+        terms.append(Braces)
+        knobs.append(Knob("brace_share", 0.03, 2.0, 1e-5, 10.0, log=True))
+    else:
+        terms.append(FarSprings)
+        knobs.append(Knob("far_share", 0.5, 1.0, 1e-3, 10.0, log=True))
+        values["far_reach"] = FAR * replicas[0].spacing
     knobs += [Knob(p.name, 0.0, 0.3, p.low, p.high) for field in (StiffnessField, MassField) for p in field.parameters]
     return Model(tuple(terms), values, tuple(knobs))
 

@@ -93,10 +93,13 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
     history = [float(residual @ residual)]
     normal = np.eye(len(z))
     damping = 1.0
+    slopes, exact = None, True
     for _ in range(iterations):
-        substeps = task.substeps(model, z)
-        residual = task.residuals(task.predict(model, [z], substeps))[0]
-        slopes, ok = jacobian(task, model, z, residual, substeps)
+        if slopes is None:
+            substeps = task.substeps(model, z)
+            residual = task.residuals(task.predict(model, [z], substeps))[0]
+            slopes, ok = jacobian(task, model, z, residual, substeps)
+            exact = True
         robust = _huber(residual)
         variance = float((robust * residual) @ residual)
         prior = variance / INDEPENDENT * np.ones(len(z))
@@ -119,13 +122,17 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
             damping *= 30
             if damping > 1e4:
                 break
+            slopes = slopes if exact else None
             continue
         damping = float(np.clip(damping * DAMPINGS[best], 1e-4, 1e4))
         improvement = 1 - costs[best] / objective
-        z = trials[best]
-        history.append(float(found[best] @ found[best]))
+        step, change = trials[best] - z, found[best] - residual
+        z, residual = trials[best], found[best]
+        history.append(float(residual @ residual))
         if improvement < 1e-3:
             break
+        # Every second Jacobian is a secant (Broyden 1965): a knob's column costs a roll-out, an update costs none.
+        slopes, exact = (slopes + np.outer(change - slopes @ step, step / max(step @ step, 1e-12)), False) if exact else (None, True)
     loss = history[-1]
     scale = max(loss, 1e-16) / INDEPENDENT
     covariance = np.linalg.pinv(normal + scale * np.eye(len(z))) * scale

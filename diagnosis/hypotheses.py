@@ -18,7 +18,8 @@ from .replica import spread_out
 
 __all__ = ["Hypothesis", "catalogue", "hypotheses_for"]
 
-PEAKS, SPREAD = 4, 5  # places tried: where the observer pushes most, and evenly over the body
+PEAKS, SPREAD = 4, 4  # places tried: where the observer pushes most, and evenly over the body
+FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
 STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
 
 
@@ -37,8 +38,17 @@ class Hypothesis:
         prefix = self.term.effect.place
         return np.array([self.values[f"{prefix}_{axis}"] for axis in "xyz"]) if prefix else None
 
+    def follows(self, replica) -> np.ndarray:
+        """Indices of the nodes of ``replica`` that it moves to where they were seen: what it says of them is no evidence for it."""
+        if self.term.stage != "observer":
+            return np.zeros(0, int)
+        home = replica.nodes if replica.system.home is None else replica.system.home
+        return np.flatnonzero(np.linalg.norm(home - self.place, axis=1) < FOLLOWED * self.values[self.term.effect.within])
+
     def free_knobs(self, spacing: float) -> tuple[Knob, ...]:
         """Knobs of the shapes and of the place, for a refit in which they may move."""
+        if self.term.effect is None or self.term.stage == "observer":  # what follows the recording would wander off to follow all of it
+            return ()
         effect, known = self.term.effect, {p.name: p for p in self.term.parameters}
         knobs = []
         for name in effect.shapes:

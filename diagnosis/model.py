@@ -89,7 +89,7 @@ class Simulator:
         if recording.ground is not None:
             for axis, n in zip("xyz", recording.ground.normal, strict=True):
                 values[f"ground_normal_{axis}"] = values[f"adhesion_normal_{axis}"] = float(n)
-            values["ground_offset"] = values["adhesion_offset"] = float(recording.ground.offset)
+            values["ground_offset"] = values["adhesion_offset"] = float(recording.ground.offset) + self.replica.lift
         return {k: v for k, v in values.items() if k in known}
 
     def substeps(self, terms, values: Mapping[str, float]) -> int:
@@ -97,9 +97,9 @@ class Simulator:
         batch = self._batch(tuple(terms), 1, None)
         made = batch.prepare(replace(batch.inputs, table=self._table(batch, terms, [values])))
         count = self.replica.system.particle_count
-        masses = made.mass[:count].numpy().astype(float)
-        terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in ("axial", "hinge"))
-        body = replace(self.replica.system, stiffness=made.stiffness.numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms)
+        masses = made.mass[:count].cpu().numpy().astype(float)
+        terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in ("axial", "strand", "hinge"))
+        body = replace(self.replica.system, stiffness=made.stiffness.cpu().numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms)
         need = stable_substeps([body], 1 / self.replica.recording.fps, safety=SAFETY, least=8)
         return min(MOST, ceil(LADDER ** ceil(log(need) / log(LADDER))))
 
@@ -113,7 +113,7 @@ class Simulator:
     def _run(self, terms, rows, frames, substeps):
         batch = self._batch(tuple(terms), len(rows), substeps)
         rolled = batch.rollout(frames, replace(batch.inputs, table=self._table(batch, terms, rows)))
-        found = torch.stack(rolled.positions).numpy()
+        found = torch.stack(rolled.positions).cpu().numpy()
         for b, bad in enumerate(rolled.diverged):
             if bad >= 0:
                 found[b, bad:] = np.nan

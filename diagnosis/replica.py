@@ -10,6 +10,7 @@ from ..datasets.scenario import Observed
 from ..physics.hinges import natural_curvature
 from ..physics.system import System
 from ..physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
+from ..methods.registration import rigid_transform
 from .matching import material_coordinates
 from .ropes import apart, marked_chains, rope_chains
 from .sightings import Sightings, sight_markers, sight_nodes
@@ -22,6 +23,11 @@ GRIP_REACH = 1.6  # how far a hand point holds nodes, in node spacings
 GRIP_MOST = 4
 ROW = 12  # nodes that a rope must at least show
 THINNER = 1.3  # step of trying fewer nodes
+CARRIED = 0.25  # share of its way by which what a hand carries may stay behind
+SET_OFF = (0.008, 0.06)  # m: a hand's way while one sees what it carries
+FIST = 0.05  # m, between points of one hand
+LOWEST = 0.05  # share of the nodes that may be lower than what lies on the ground; of a rope, whose nodes all lie alike, half
+LYING = 0.6  # node spacings: what is higher does not lie
 STILL = 3.0  # start velocities below this many standard errors are noise
 
 
@@ -29,12 +35,13 @@ STILL = 3.0  # start velocities below this many standard errors are noise
 class Replica:
     """A recording and the coarse body drawn on its frame 0.
 
-    system     without terms: nodes, springs of unit stiffness [N], controllers, what was seen
+    system     without terms: nodes, springs of unit stiffness [N] (ties: unit stiffness per spacing), controllers, what was seen
     sightings  what was seen of the nodes in every frame that the method may see
     spacing    m, between neighbouring nodes
     links      (E,) bool, which springs tie controllers
     node_of    (M,) nearest node of each particle of the recording's structure
     frames     how many frames were observed
+    lift       m, how high above the ground the nodes stand that lie on it in frame 0: a node is in the middle of what it stands for
     """
 
     recording: Observed
@@ -43,6 +50,7 @@ class Replica:
     spacing: float
     links: np.ndarray
     node_of: np.ndarray
+    lift: float = 0.0
 
     @property
     def name(self) -> str:
@@ -104,15 +112,11 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
     chains = _alike(marked[1] if marked else rope_chains(apart(positions, sightings.position)), home, like)
     if chains:
         body = _along(body, chains)
+        if not marked:
+            _centre(positions, structure, np.isfinite(sightings.position[0, :, 0]))
     hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, body)
     hands = np.flatnonzero(recording.grips < 0)
-    ties = controller_springs(recording.controllers[0, hands], positions, radius=GRIP_REACH * own, max_neighbours=GRIP_MOST)
-    if len(hands) and not len(ties):
-        near = cKDTree(positions).query(recording.controllers[0, hands])[1]
-        ties = np.stack([np.arange(len(hands)), near], 1)
-    ties = ties.astype(int)
-    if len(ties):
-        ties[:, 0] = len(positions) + hands[ties[:, 0]]
+    ties = hand_ties(recording, positions, sightings, own, hands)
     grips = np.full(len(recording.grips), -1)
     for c, point in enumerate(recording.grips):
         if point >= 0:
@@ -124,7 +128,7 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
     system = System(
         positions=positions,
         springs=springs,
-        stiffness=np.ones(len(springs)),
+        stiffness=np.where(links, lengths[ties_kept] / own, 1.0),  # ties of all lengths pull alike, so that short ones need no short steps
         controllers=recording.controllers,
         grips=grips,
         hinges=hinges,
@@ -137,7 +141,60 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
         name=recording.name,
     )
     node_of = cKDTree(positions).query(structure)[1]
-    return Replica(recording, system, sightings, own, links, node_of)
+    return Replica(recording, system, sightings, own, links, node_of, _lift(recording, positions, own, 0.5 if chains else LOWEST))
+
+
+def _lift(recording, positions, spacing, share):
+    """Height [m] below which ``share`` of the nodes are where those lie on the ground; 0 where the body hangs above it."""
+    if recording.ground is None:
+        return 0.0
+    low = float(np.quantile(positions @ recording.ground.normal - recording.ground.offset, share))
+    return low if 0 < low < LYING * spacing else 0.0
+
+
+def hand_ties(recording, positions, sightings, spacing, hands) -> np.ndarray:
+    """(L, 2) springs between nodes and hand points: within reach of each other in frame 0, and at first carried along by that hand."""
+    from scipy.spatial import cKDTree
+
+    ties = controller_springs(recording.controllers[0, hands], positions, radius=GRIP_REACH * spacing, max_neighbours=GRIP_MOST).astype(int)
+    if not len(hands):
+        return np.zeros((0, 2), int)
+    if not len(ties):
+        near = cKDTree(positions).query(recording.controllers[0, hands])[1]
+        ties = np.stack([np.arange(len(hands)), near], 1)
+    fist = fists(recording.controllers[0, hands])
+    kept = np.ones(len(ties), bool)
+    for label in np.unique(fist):
+        mine = np.flatnonzero(fist[ties[:, 0]] == label)
+        nodes = np.unique(ties[mine, 1])
+        strays = _strays(recording.controllers[:, hands[fist == label]], sightings.position[:, nodes], positions[nodes])
+        held = nodes[strays <= max(CARRIED, np.sort(strays)[:2].max())]
+        kept[mine] = np.isin(ties[mine, 1], held)
+    ties = ties[kept]
+    ties[:, 0] = len(positions) + hands[ties[:, 0]]
+    return ties
+
+
+def fists(points):
+    """(C,) which hand each of ``points`` (C, 3) belongs to: points of one are within FIST of one another, link by link."""
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    return fcluster(linkage(points), FIST, "distance") if len(points) > 1 else np.ones(len(points), int)
+
+
+def _strays(hand, seen, start):
+    """(n,) how far nodes at ``start`` (n, 3), ``seen`` (T, n, 3), stay behind a hand (T, C, 3) while it first moves, over its way."""
+    way = np.linalg.norm(hand - hand[0], axis=-1).mean(1)
+    moving = np.flatnonzero((way > SET_OFF[0]) & (np.arange(len(way)) < (np.argmax(way > SET_OFF[1]) or len(way))))
+    shares = []
+    for k in moving[:12]:
+        rotation, shift = rigid_transform(hand[0], hand[k])
+        shares.append(np.linalg.norm(seen[k] - start @ rotation.T - shift, axis=1) / way[k])
+    if not shares:
+        return np.zeros(len(start))
+    with np.errstate(all="ignore"):
+        stray = np.nanmedian(shares, axis=0)
+    return np.where(np.isfinite(stray), stray, 0.0)
 
 
 def _marked_rope(recording, nodes, held):
@@ -177,6 +234,17 @@ def _along(springs, chains):
     steps = np.concatenate([np.stack([c[:-1], c[1:]], 1) for c in chains])
     both = np.concatenate([np.sort(springs, axis=1), np.sort(steps, axis=1)])
     return np.unique(both, axis=0)
+
+
+def _centre(positions, structure, seen):
+    """Move the nodes of a rope that were never seen to the middle of the particles around them: from its skin to its axis."""
+    from scipy.spatial import cKDTree
+
+    owner = cKDTree(positions).query(structure)[1]
+    for node in np.flatnonzero(~seen):
+        mine = structure[owner == node]
+        if len(mine):
+            positions[node] = mine.mean(0)
 
 
 def _home(recording, positions, like):
@@ -230,12 +298,12 @@ def _lengths(points, controllers, springs):
 
 
 def _start_velocity(sightings, positions, fps):
-    """(n, 3) m/s by a quadratic through the first seven frames, zero where it cannot be told from noise."""
+    """(n, 3) m/s by a cubic through the first seven frames, zero where it cannot be told from noise. (A hand that sets off bends a quadratic.)"""
     span = min(7, len(sightings.position))
-    if span < 4:
+    if span < 5:
         return np.zeros_like(positions)
     early = sightings.position[:span]
-    basis = np.stack([np.ones(span), np.arange(span) / fps, (np.arange(span) / fps) ** 2], 1)
+    basis = (np.arange(span)[:, None] / fps) ** np.arange(4)
     inverse = np.linalg.pinv(basis)
     velocity = np.einsum("t,tnc->nc", inverse[1], np.where(np.isfinite(early), early, np.nan))
     error = sightings.noise * np.linalg.norm(inverse[1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -13,6 +14,8 @@ from .hypotheses import STAGES_IN_ONE, Hypothesis
 from .model import Model
 
 __all__ = ["Part", "Score", "screen"]
+
+MARGIN = 1.2  # on the baseline's substeps, for hypotheses that stiffen the body
 
 
 @dataclass(frozen=True)
@@ -44,18 +47,14 @@ class Score:
     direction: np.ndarray
 
 
-def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Sequence[Part], *, carry=None) -> list[Score]:
-    """Score ``hypotheses`` at ``base``: amplitudes from the first of ``parts``, gains on all.
-
-    ``carry(values, recording index)`` translates values that speak of places on the first recording to another one.
-    """
-    carry = carry or (lambda values, index: values)
+def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Sequence[Part]) -> list[Score]:
+    """Score ``hypotheses`` at ``base``: amplitudes from the first of ``parts``, gains on all."""
     groups = defaultdict(list)
     for h in hypotheses:
         groups["one" if h.term.stage in STAGES_IN_ONE else h.term].append(h)
     scores: list[Score] = []
     nuisance = None
-    substeps = task.substeps(base.model, base.z)
+    substeps = [ceil(MARGIN * n) for n in task.substeps(base.model, base.z)]
     for members in groups.values():
         model = _with(base.model, {h.term for h in members})
         off = {k.name: max(0.0, k.low) for h in members for k in h.knobs}
@@ -66,7 +65,7 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
                 sign = 1.0 if knob.high > 0 else -1.0
                 steps.append(sign * knob.step * knob.spread)
                 rows.append({**base.values, **off, **h.values, knob.name: steps[-1]})
-        residuals = _by_part(task, model, rows, parts, substeps, carry)
+        residuals = _by_part(task, model, rows, parts, substeps)
         origin = [r[0] for r in residuals]
         done = 1
         if nuisance is None:
@@ -78,7 +77,9 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
         for h in members:
             own = slice(at, at + len(h.knobs))
             at += len(h.knobs)
-            scores.append(_score(h, origin, nuisance, [c[:, own] for c in columns], parts))
+            blind = [_blind(h, task, part) for part in parts]
+            mine = [c[:, own] for c in columns]
+            scores.append(_score(h, *(_without(part, blind) for part in (origin, nuisance, mine)), parts))
     return scores
 
 
@@ -106,7 +107,7 @@ def _knob_widths(base):
     return np.array(widths)
 
 
-def _by_part(task, model, rows, parts, substeps, carry):
+def _by_part(task, model, rows, parts, substeps):
     """Per part (B, R) weighted innovations, each part's weights normalised to 1."""
     out = []
     runs = {}
@@ -114,7 +115,7 @@ def _by_part(task, model, rows, parts, substeps, carry):
         if part.index not in runs:
             simulator = task.simulators[part.index]
             last = max(p.last for p in parts if p.index == part.index)
-            mine = [{**carry(row, part.index), "observer_bandwidth": task.bandwidth} for row in rows]
+            mine = [{**row, "observer_bandwidth": task.bandwidth} for row in rows]
             runs[part.index] = simulator.run(model.terms, mine, last, substeps=substeps[part.index])
         simulator, found = task.simulators[part.index], runs[part.index]
         seen = simulator.replica.sightings.position[part.first : part.last]
@@ -126,6 +127,18 @@ def _by_part(task, model, rows, parts, substeps, carry):
         gap = np.where(there[None, ..., None], seen[None] - found[:, part.first : part.last], 0.0)
         out.append((gap / np.sqrt(max(1, there.sum()))).reshape(len(rows), -1))
     return out
+
+
+def _blind(h, task, part):
+    """(R,) 1 where a residual of ``part`` may judge ``h``, 0 at nodes whose sightings it uses to say where they go."""
+    replica = task.simulators[part.index].replica
+    judged = np.ones(len(replica.nodes))
+    judged[h.follows(replica)] = 0.0
+    return np.repeat(np.tile(judged, part.last - part.first), 3)
+
+
+def _without(parts, blind):
+    return [p * (b if p.ndim == 1 else b[:, None]) for p, b in zip(parts, blind, strict=True)]
 
 
 def _clean(columns):

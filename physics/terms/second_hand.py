@@ -36,7 +36,7 @@ class SecondHand(Term):
         "something moves a part of the body that the recording does not list",
         amplitudes=("second_hand",),
         typical={"second_hand": 500.0},
-        shapes={"second_hand_within": (0.02, 0.06)},
+        shapes={"second_hand_within": (0.02, 0.04)},
         place="second_hand",
         within="second_hand_within",
         motion="the same without touching it elsewhere",

@@ -47,7 +47,7 @@ class Tearing(Term):
         says="it tears at one place when it is stretched too far",
         amplitudes=("tear_rate",),
         typical={"tear_rate": 20.0},
-        shapes={"tear_strain": (0.01, 0.03, 0.1, 0.3), "tear_radius": (0.01, 0.03, 0.1)},
+        shapes={"tear_strain": (0.02, 0.08), "tear_radius": (0.02, 0.05)},
         place="tear",
         within="tear_radius",
         motion="pull it apart harder and harder, and then once more: what tore stays loose",

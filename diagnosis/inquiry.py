@@ -1,0 +1,197 @@
+"""What recordings say about a twin: the baseline, every hypothesis's score, refits of the best, and how predictable it all is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..datasets.scenario import Observed
+from ..physics.terms.residual_field import ResidualField
+from .baseline import baseline_model, first_fit
+from .fit import Fit, Task
+from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
+from .locate import missing_acceleration
+from .model import Knob, Simulator
+from .refit import Verdictable, evaluate, refit
+from .replica import Replica, build_replica
+from .screen import Part, Score, screen
+
+__all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
+
+BANDWIDTH = 1.0  # Hz of the observer: slower than the motions, faster than errors grow
+UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
+FIRM = 0.25  # of a nuisance's spread that is left once other recordings have fixed it
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How much work: nodes of a replica, Gauss-Newton steps of the first fit and of refits, effects that are refitted."""
+
+    nodes: int
+    first: int
+    steps: int
+    refits: int
+
+
+PRESETS = {"quick": Preset(100, 8, 4, 12), "full": Preset(300, 16, 8, 26)}
+
+
+@dataclass(frozen=True)
+class Refit:
+    """One hypothesis after its refit, beside the baseline, or what else could do the same with as much freedom, judged on the same nodes."""
+
+    score: Score
+    found: Verdictable
+    against: Verdictable
+
+    def gain(self, part: str, *, free: bool = False) -> float:
+        """Share of the baseline's error of ``part`` that is gone: squared innovations, or the mean error of a free run."""
+        before, after = ((v.free if free else v.observed)[part] for v in (self.against, self.found))
+        return 1 - after / max(before, 1e-300) if np.isfinite(after) else -np.inf
+
+
+@dataclass(frozen=True)
+class Inquiry:
+    """All the evidence of one diagnosis.
+
+    simulators   of the case, the transfer recordings, and what the twin was fitted on, in this order
+    transfers    how many of them are transfer recordings
+    parts        train and heldout of the case, transfer...
+    base         the baseline after as many steps as every refit had
+    scores       of every hypothesis, and of the learned residual
+    refits       of the best hypothesis of each term that was taken further
+    yardstick    a force field without a name, refitted like the others
+    watched      by recording (F, n, 3) m, the baseline under the observer
+    push         by recording (F, n, 3) m/s^2, what the observer pushed with
+    """
+
+    simulators: list[Simulator]
+    transfers: int
+    train_end: int
+    parts: tuple[Part, ...]
+    base: Verdictable
+    scores: list[Score]
+    learned: Score
+    refits: list[Refit]
+    yardstick: Verdictable | None
+    watched: list[np.ndarray]
+    push: list[np.ndarray]
+
+    @property
+    def case(self) -> Replica:
+        return self.simulators[0].replica
+
+    def best(self) -> dict[str, Score]:
+        """The best score of each term."""
+        found: dict[str, Score] = {}
+        for score in self.scores:
+            name = score.hypothesis.term.name
+            if name not in found or promise(score) > promise(found[name]):
+                found[name] = score
+        return found
+
+    def free(self, found: Verdictable) -> list[np.ndarray]:
+        """By recording (F, n, 3) m: the free run of a fitted model on the case and the transfer recordings."""
+        row = {**found.fit.values, "observer_bandwidth": 0.0}
+        return [s.run(found.fit.model.terms, [row], s.replica.frames)[0] for s in self.simulators[: 1 + self.transfers]]
+
+
+def promise(score: Score) -> float:
+    """How much a hypothesis explains: the log of what it leaves, fitted and unfitted parts alike, a little for each amplitude it needs."""
+    left = [np.log(np.clip(1 - g, 0.02, 1.5)) for g in score.gains.values()]
+    return -float(np.mean(left)) - 0.01 * len(score.hypothesis.knobs)
+
+
+def inquire(
+    case: Observed,
+    transfer: Sequence[Observed] = (),
+    fitted_on: Sequence[Observed] = (),
+    *,
+    train_end: int | None = None,
+    preset: str | Preset = "quick",
+    device: str = "cpu",
+    progress: Callable[[str], None] = lambda said: None,
+) -> Inquiry:
+    """Fit the twin, score every hypothesis, refit the best.
+
+    Frames of ``case`` from ``train_end`` on, and ``transfer``, are simulated and compared but never fitted. Raises ValueError where the
+    case has too few frames or nothing that moves.
+    """
+    preset = PRESETS[preset] if isinstance(preset, str) else preset
+    replicas = [build_replica(case, nodes=preset.nodes)]
+    replicas += [build_replica(r, nodes=preset.nodes, like=replicas[0]) for r in (*transfer, *fitted_on)]
+    simulators = [Simulator(r, device=device) for r in replicas]
+    frames = replicas[0].frames
+    train = train_end if train_end and train_end < frames else int(UNHELD * frames)
+    if train < 8:
+        raise ValueError(f"{case.name}: a diagnosis needs at least 8 frames that may be fitted, got {train}")
+    parts = [Part("train", 0, 0, train), Part("heldout", 0, train, frames)]
+    parts += [Part(f"transfer_{k}" if k else "transfer", k + 1, 0, replicas[k + 1].frames) for k in range(len(transfer))]
+
+    progress("fitting the twin")
+    task = Task(simulators[:1], [train], BANDWIDTH)
+    model = baseline_model(replicas)
+    if fitted_on:
+        others = simulators[1 + len(transfer) :]
+        start = first_fit(Task(others, [s.replica.frames for s in others], BANDWIDTH), model, iterations=preset.first)
+        start = _firm(start)
+    else:
+        start = first_fit(task, model, iterations=preset.first)
+    wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH)
+    base = refit(task, start, [], iterations=preset.steps, spacing=replicas[0].spacing)[0]
+    watched = [wide.predict(base.model, [base.z])[k][0] for k in range(len(wide.simulators))]
+    push = [missing_acceleration(s.replica, x, BANDWIDTH) for s, x in zip(wide.simulators, watched, strict=True)]
+
+    progress("scoring hypotheses")
+    hypotheses = hypotheses_for(simulators[0], watched[0][:train], push[0][:train])
+    scores = screen(Task(simulators[:1], [frames], BANDWIDTH), base, [*hypotheses, _learned()], parts[:2])
+    learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
+    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, learned, [], None, watched, push)
+
+    best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
+    chosen = sorted(best, key=promise, reverse=True)[: preset.refits]
+    progress(f"refitting {', '.join(s.hypothesis.effect for s in chosen)}")
+    elsewhere = {k: _elsewhere(score, scores, replicas[0].spacing) for k, score in enumerate(chosen)}
+    rivals = {k: score for k, score in elsewhere.items() if score is not None}
+    fits = refit(task, base, [*chosen, learned, *rivals.values()], iterations=preset.steps, spacing=replicas[0].spacing)
+    others = dict(zip(rivals, fits[2 + len(chosen) :], strict=True))
+    base = evaluate(wide, fits[0], None, parts)
+    yardstick = evaluate(wide, fits[1 + len(chosen)], learned, parts)
+    refits = []
+    for k, (score, found) in enumerate(zip(chosen, fits[1 : 1 + len(chosen)], strict=True)):
+        if k not in rivals:
+            refits.append(Refit(score, evaluate(wide, found, score, parts), base))
+            continue
+
+        def blind(replica, pair=(score.hypothesis, rivals[k].hypothesis)):
+            return np.union1d(*(h.follows(replica) for h in pair))
+
+        refits.append(Refit(score, evaluate(wide, found, score, parts, leave=blind), evaluate(wide, others[k], rivals[k], parts, leave=blind)))
+    return replace(inquiry, base=base, refits=refits, yardstick=yardstick)
+
+
+def _elsewhere(score: Score, scores: Sequence[Score], spacing: float) -> Score | None:
+    """For a hypothesis that follows the recording in one patch: the best of its kind in a patch apart from it, for it must do better than that."""
+    mine = score.hypothesis
+    if mine.term.stage != "observer":
+        return None
+    apart = 2 * FOLLOWED * mine.values[mine.term.effect.within] + spacing
+    others = [s for s in scores if s.hypothesis.term is mine.term and np.linalg.norm(s.hypothesis.place - mine.place) > apart]
+    return max(others, key=promise, default=None)
+
+
+def _learned() -> Hypothesis:
+    knobs = tuple(Knob(p.name, 0.0, _size(p.unit), p.low, p.high, step=0.25) for p in ResidualField.parameters)
+    return Hypothesis("learned_residual", ResidualField, {}, knobs)
+
+
+def _size(unit):
+    return {"m/s^2": 1.0, "1/s": 1.0, "1/s^2": 10.0}[unit]
+
+
+def _firm(found: Fit) -> Fit:
+    """The fit with its knobs centred where it ended and little room: other recordings have said what they are."""
+    knobs = tuple(replace(k, start=k.decode(z), spread=FIRM * k.spread) for k, z in zip(found.model.knobs, found.z, strict=True))
+    return replace(found, model=replace(found.model, knobs=knobs), z=np.zeros(len(found.z)))

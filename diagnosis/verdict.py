@@ -1,0 +1,167 @@
+"""From evidence to a decision: which reading is likely, what may be said of it, and when nothing may be said."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib import resources
+
+import numpy as np
+
+from .inquiry import Inquiry, Refit
+
+__all__ = ["MEASUREMENT", "Calibration", "Decision", "Reading", "calibration", "decide", "readings"]
+
+MEASUREMENT = ("controller_delay", "camera_pose", "track_drift", "grip_points")
+NONE, OTHER = "adequate", "unknown"
+FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
+CONTEXT = ("learned", "best", "floor")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read the recordings, as numbers that a decision weighs.
+
+    effect, term  the effect's name and the term that stands for it ("" where the tracks themselves speak)
+    features      by name: logs of the shares of error that are left, negated (0: no gain), and what they cost
+    """
+
+    effect: str
+    term: str
+    features: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Weights of the decision, fitted on recordings whose effect is known.
+
+    weights   of ``FEATURES``, the same for all effects
+    biases    by effect: how readily it explains what is not it; those of "adequate" and "unknown" too
+    context   by "adequate" and "unknown", weights of ``CONTEXT``
+    named     least probability of a name; ``both`` of the two best together; ``sure`` of "adequate" and "unknown"
+    source    what it was fitted on
+    """
+
+    weights: dict[str, float]
+    biases: dict[str, float]
+    context: dict[str, dict[str, float]]
+    named: float = 0.5
+    both: float = 0.7
+    sure: float = 0.5
+    source: str = ""
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self), indent=1)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """verdict and probabilities by effect ("adequate" and "unknown" among them); ``ranked`` effects, best first; the reading chosen."""
+
+    verdict: str
+    effect: str | None
+    alternatives: tuple[str, ...]
+    probabilities: dict[str, float]
+    chosen: Reading | None
+
+
+def calibration() -> Calibration:
+    """The calibration that ships with twinbench."""
+    return Calibration(**json.loads(resources.files(__package__).joinpath("calibration.json").read_text()))
+
+
+def left(gain: float) -> float:
+    """-log of the share of error that is left: 0 where nothing was gained, 0.7 where half is gone; between -0.5 and 4."""
+    return float(-np.log(np.clip(1 - gain, np.exp(-4.0), np.exp(0.5)))) if np.isfinite(gain) else -0.5
+
+
+def readings(inquiry: Inquiry) -> list[Reading]:
+    """Every refitted hypothesis, and what the tracks say by themselves."""
+    transfer = [p.name for p in inquiry.parts if p.name.startswith("transfer")]
+    found = []
+    for refit in inquiry.refits:
+        found.append(Reading(refit.score.hypothesis.effect, refit.score.hypothesis.term.name, _features(refit, transfer)))
+    best = {r.term: r.features for r in found}
+    for reading in found:
+        rivals = [_worth(f) for term, f in best.items() if term != reading.term]
+        reading.features["rival"] = max(0.0, max(rivals, default=0.0))
+    return found + _tracks(inquiry)
+
+
+def _features(refit: Refit, transfer):
+    mean = np.mean
+    h = refit.score.hypothesis
+    return {
+        "train": left(refit.gain("train")),
+        "heldout": left(refit.gain("heldout")),
+        "transfer": float(mean([left(refit.gain(t)) for t in transfer])) if transfer else 0.0,
+        "free_heldout": left(refit.gain("heldout", free=True)),
+        "free_transfer": float(mean([left(refit.gain(t, free=True)) for t in transfer])) if transfer else 0.0,
+        "kept": float(np.log(max(refit.score.kept, 1e-3))),
+        "extra": float(len(h.knobs)),
+    }
+
+
+def _worth(features: Mapping[str, float]) -> float:
+    """One number for how well a reading explains: what any weighing of its gains would start from."""
+    return 0.4 * features["train"] + 0.3 * features["heldout"] + 0.3 * features["transfer"]
+
+
+def _tracks(inquiry: Inquiry) -> list[Reading]:
+    """Faults that show in the tracks without any simulation: drift as tracks that leave their neighbours."""
+    share = max(float(s.replica.sightings.wrong.mean()) for s in inquiry.simulators[: 1 + inquiry.transfers])
+    drift = float(np.log((share + 0.003) / 0.02))
+    return [Reading("track_drift", "", dict.fromkeys(FEATURES, 0.0) | {"seen": drift})]
+
+
+def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
+    """What speaks for nothing or for something else: the gain of a nameless force field, of the best reading, and the twin's error over noise."""
+    before, after = inquiry.base.observed, inquiry.yardstick.observed
+    gains = [left(1 - after[part] / max(before[part], 1e-300)) for part in before if part != "train"]
+    noise = max(inquiry.case.sightings.noise, 1e-4)
+    floor = float(np.log(np.sqrt(inquiry.base.observed["train"] / 3) / noise))
+    return {"learned": float(np.mean(gains)), "best": max([_worth(r.features) for r in found if r.term], default=0.0), "floor": floor}
+
+
+def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration) -> tuple[list[str], np.ndarray]:
+    """Names and scores (log odds) of the readings, then of "adequate" and "unknown"."""
+    names, values = [], []
+    for reading in found:
+        names.append(reading.effect)
+        value = c.biases.get(reading.effect, 0.0) + sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
+        values.append(value)
+    for name in (NONE, OTHER):
+        names.append(name)
+        values.append(c.biases.get(name, 0.0) + sum(c.context.get(name, {}).get(k, 0.0) * v for k, v in around.items()))
+    return names, np.array(values)
+
+
+def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration) -> Decision:
+    """Weigh the readings: a name where one is likely enough, two where they are together, else what is honest."""
+    names, values = scores(found, around, c)
+    weight = np.exp(values - values.max())
+    weight /= weight.sum()
+    chances: dict[str, float] = {}
+    for name, w in zip(names, weight, strict=True):
+        chances[name] = chances.get(name, 0.0) + float(w)
+    chances = dict(sorted(chances.items(), key=lambda item: -item[1]))
+    effects = [n for n in chances if n not in (NONE, OTHER)]
+    first = effects[0] if effects else None
+    second = effects[1] if len(effects) > 1 else None
+    nothing, other = chances[NONE], chances[OTHER]
+    if first and chances[first] >= c.named:
+        verdict, effect, also = ("measurement" if first in MEASUREMENT else "missing"), first, ()
+    elif first and second and chances[first] + chances[second] >= c.both and chances[first] > nothing:
+        verdict, effect, also = "ambiguous", first, (second,)
+    elif nothing >= c.sure:
+        verdict, effect, also = NONE, None, ()
+    elif other > nothing or 1 - nothing >= c.both:
+        verdict, effect, also = OTHER, None, tuple(effects[:2])
+    else:
+        verdict, effect, also = "cannot_tell", None, tuple(effects[:2])
+    chosen = None
+    if effect:
+        mine = [(v, r) for r, v in zip(found, values, strict=False) if r.effect == effect]
+        chosen = max(mine, key=lambda pair: pair[0])[1]
+    return Decision(verdict, effect, also, chances, chosen)
