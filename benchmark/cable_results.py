@@ -18,6 +18,7 @@ __all__ = ["FIELDS", "Found", "markdown", "write"]
 FIELDS = ("cable", "seed", "step", "term", "recording", "all_mm", "free_mm", "still_all_mm", "still_free_mm")
 STEP_FIELDS = ("cable", "seed", "step", "term", "said", "before_mm", "after_mm", "log_gain", "log_gain_se")
 VALUE_FIELDS = ("cable", "seed", "step", "term", "parameter", "value")
+COLUMNS = ("eval, all markers: mean", "median", "free markers: mean", "median", "started at rest, all: mean")
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,12 @@ class Found:
     def mean(self, step: int, field: str) -> float:
         """Mean over the eval recordings of a field of the rows of one step."""
         return float(np.mean([r[field] for r in self.rows if r["step"] == step]))
+
+    def errors(self, step: int) -> list[float]:
+        """``COLUMNS`` [mm] after a step."""
+        rows = [[r[c] for c in ("all_mm", "free_mm", "still_all_mm")] for r in self.rows if r["step"] == step]
+        every, free, still = np.array(rows, float).T
+        return [every.mean(), np.median(every), free.mean(), np.median(free), still.mean()]
 
     def told(self) -> list[dict]:
         """What was said of every candidate that was refitted, step by step, and of every accepted one when it was taken out at the end."""
@@ -95,25 +102,25 @@ def _put(path, fill):
 
 
 def markdown(found: Sequence[Found]) -> str:
-    """Per cable: what each seed accepted and in which order, its validation errors, and eval errors after every step."""
+    """Per cable: validation and eval errors after every step, by seed, and the order in which terms were accepted."""
     text = []
     for cable in dict.fromkeys(f.cable for f in found):
         mine = [f for f in found if f.cable == cable]
-        text += [f"### {cable}", "", "| seed | step | validation before, mm | after | eval, all markers | free markers | at rest, all |"]
-        text.append("|---|---|---|---|---|---|---|")
+        text += [f"### {cable}", "", "| seed | step | validation, free: before, mm | after | " + " | ".join(COLUMNS) + " |"]
+        text.append("|---|---|---|---|" + "---|" * len(COLUMNS))
+        ends = {}
         for f in mine:
             for k, name in enumerate(f.names):
                 step = f.climb.steps[k - 1] if 0 < k <= len(f.climb.steps) else None
                 before = f"{1e3 * step.before:.2f}" if step else ""
                 after = f"{1e3 * step.after:.2f}" if step else f"{1e3 * f.climb.error:.2f}" if not k else ""
-                errors = " | ".join(f"{f.mean(k, c):.2f}" for c in ("all_mm", "free_mm", "still_all_mm"))
-                text.append(f"| {f.seed} | {name} | {before} | {after} | {errors} |")
-        ends = [(f.mean(0, c), f.mean(len(f.names) - 1, c)) for c in ("all_mm", "free_mm", "still_all_mm") for f in mine]
-        ends = np.array(ends).reshape(3, len(mine), 2).mean(1)
-        for which, name in enumerate(("twin", "all refitted")):
-            text.append(f"| mean | {name} | | | " + " | ".join(f"{e:.2f}" for e in ends[:, which]) + " |")
+                errors = f.errors(k)
+                ends.setdefault("twin" if not k else name, []).append(errors)
+                text.append(f"| {f.seed} | {name} | {before} | {after} | " + " | ".join(f"{e:.2f}" for e in errors) + " |")
+        for name in ("twin", "all refitted"):
+            text.append(f"| mean | {name} | | | " + " | ".join(f"{e:.2f}" for e in np.mean(ends[name], axis=0)) + " |")
         for who, value in mine[0].published.items():
-            text.append(f"| | {who} | | | {1e3 * value:.2f} | | |")
+            text.append(f"| | {who} | | | {1e3 * value:.2f} |" + " |" * (len(COLUMNS) - 1))
         orders = [f"seed {f.seed}: {', '.join(f.climb.accepted) or 'nothing'}" for f in mine]
         text += ["", f"Order of what was accepted: {'; '.join(orders)}.", ""]
         text += [f"Wall time by seed: {', '.join(f'{f.seconds:.0f} s' for f in mine)}.", ""]

@@ -34,6 +34,8 @@ NODES = 64  # markers that a cable may have
 TRAIN, VALIDATION = 12, 14  # recordings
 SECONDS = 1.5  # of each that are fitted
 SEEN_START = 7  # frames that tell how fast a fitted recording begins: 0.2 mm of jitter is then 1.2 cm/s at 100 Hz
+LOSSY = ("bending_damping", "viscoelastic", "plasticity", "quadratic_drag")
+THIN = ({"drag_damping": 0.1},)  # what takes energy out elsewhere leaves less for the air, which stood in for it
 DRAWN = 5  # windows of a recording that are tried until one begins where its markers' order can be told
 SCOUTED = 4  # recordings on which starts are tried
 JITTER = 2e-4  # m, of the markers of a recording
@@ -57,7 +59,7 @@ class Plan:
     seconds: float = SECONDS
     iterations: int = 5
     most: int = 8
-    last: int = 24
+    last: int = 40
     effects: tuple[str, ...] = ()
 
 
@@ -124,7 +126,7 @@ def candidates(rng: np.random.Generator, length: float) -> list[Candidate]:
         held = term.name.startswith("grip")
         staged = term.stage in ("axial", "strand", "hinge", "body", "velocity", "setup")
         if staged and not ground and not held and not term.effect.place and term.name not in ("anisotropy",):
-            also = LIMP if term is Bending else ()
+            also = LIMP if term is Bending else THIN if term.name in LOSSY else ()
             needs = "bending" if term.name == "torsion" else ""
             found.append(Candidate.of(term, also=also, needs=needs))
     found += [_more_mass(length), _natural_shape(rng), _first_shape()]
