@@ -14,6 +14,7 @@ _PUBLIC = {
     "get_method": "methods.registry",
     "get_metric": "metrics.base",
     "score": "metrics.base",
+    "diagnose": "diagnosis.diagnose",
 }
 __all__ = list(_PUBLIC)
 

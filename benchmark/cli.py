@@ -256,6 +256,80 @@ class Real:
         return 0
 
 
+@dataclass(frozen=True)
+class Diagnose:
+    """Say which physics a recording shows and a spring-mass twin lacks: where, since when, how much it matters; or that nothing is missing.
+
+    A recording is a folder in a known layout (see twinbench list), with /NAME behind it where the folder holds several.
+    """
+
+    case: Annotated[Positional[str], arg(metavar="CASE")]
+    """The recording. Its held-out frames are never fitted."""
+    transfer: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
+    """Other interactions with the same object. They are never fitted."""
+    fitted_on: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
+    """Recordings that the twin is fitted on and taken as adequate for. Default: the training frames of CASE."""
+    preset: str = "quick"
+    """How much work: quick or full."""
+    device: str = "cpu"
+    """Where to compute: cpu or cuda."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("results/diagnosis")
+    """Folder for diagnosis.json and report.html."""
+
+    def __call__(self) -> int:
+        from ..diagnosis.diagnose import diagnose
+        from ..diagnosis.page.words import headline, improvement
+        from .opening import open_scenario
+
+        _known("preset", [self.preset], _PRESETS)
+        _known("device", [self.device], _DEVICES)
+        folder = _folder(self.out)
+        case = open_scenario(self.case)
+        transfer, fitted_on = ([open_scenario(path) for path in paths] for paths in (self.transfer, self.fitted_on))
+        say = (lambda said: print(f"{said} ...", file=sys.stderr)) if sys.stderr.isatty() else (lambda said: None)
+        found = diagnose(case, transfer=transfer, fitted_on=fitted_on, preset=self.preset, device=self.device, progress=say)
+        found.write(folder)
+        print(headline(found.result))
+        for line in filter(None, (improvement(found.result), found.result["experiment"])):
+            print(line)
+        print(f"Written to {folder}: diagnosis.json, report.html")
+        return 0
+
+
+@dataclass(frozen=True)
+class Concealed:
+    """Diagnose pairs of recordings in which something known was concealed, and score the answers against their labels.
+
+    The recordings are written by python -m twinbench.datasets.concealed. Answers that are there are kept.
+    """
+
+    data: Annotated[Positional[Path], arg(metavar="DIR")]
+    """Folder of case_*/fit and case_*/transfer, with labels.json."""
+    preset: str = "quick"
+    """quick or full."""
+    device: str = "cpu"
+    """cpu or cuda."""
+    jobs: int = 1
+    """Cases that are diagnosed at the same time."""
+    calibrate: bool = False
+    """Fit the decision to these labels, write calibration.json, and score each case by a decision that did not see it (8-fold)."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("results/concealed")
+    """Folder for the answers, scores.json and cases.md."""
+
+    def __call__(self) -> int:
+        from . import concealed
+
+        _known("preset", [self.preset], _PRESETS)
+        _known("device", [self.device], _DEVICES)
+        results, labels = concealed.study(
+            self.data, _folder(self.out), preset=self.preset, device=self.device, jobs=self.jobs, calibrating=self.calibrate
+        )
+        print(concealed.by_effect(results, labels))
+        print("\n".join(f"{name:16} {value}" for name, value in concealed.score(results, labels).items()))
+        print(f"Written to {self.out}")
+        return 1 if any(r["verdict"] == "failed" for r in results.values()) else 0
+
+
 _PRESETS, _DEVICES, _SPLITS = ("quick", "full"), ("cpu", "cuda"), ("published", "clean")
 
 
@@ -315,7 +389,8 @@ def _metrics() -> dict:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    commands = {"run": Run, "table": Table, "picture": Picture, "check": Check, "download": Download, "list": List, "real": Real}
+    commands = {"run": Run, "table": Table, "picture": Picture, "check": Check, "download": Download, "list": List}
+    commands |= {"diagnose": Diagnose, "concealed": Concealed, "real": Real}
     try:
         if arguments == ["--version"]:
             print(f"twinbench {version('twinbench')}")
@@ -323,7 +398,10 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments and not arguments[0].startswith("-"):
             _known("command", arguments[:1], commands)
         command = tyro.extras.subcommand_cli_from_dict(
-            commands, prog="twinbench", description="Benchmark of physical digital twins of deformable objects.", args=arguments
+            commands,
+            prog="twinbench",
+            description="Benchmark and diagnosis of physical digital twins of deformable objects.",
+            args=arguments,
         )
         return command()
     except BrokenPipeError:  # the reader of our output has seen enough

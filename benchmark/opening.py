@@ -15,10 +15,13 @@ from pathlib import Path
 
 from ..datasets import collection as collections
 from ..datasets.collection import Collection, TransferPair, open_collection
+from ..datasets.scenario import Scenario
 from .cache import Cache, digest
 from .checksum import code
 
-__all__ = ["Opened", "folder_of", "listing", "open_recordings"]
+__all__ = ["Opened", "folder_of", "listing", "open_recordings", "open_scenario"]
+
+LEVELS = 4  # a recording's name may be so deep below its folder
 
 
 @dataclass(frozen=True)
@@ -91,3 +94,30 @@ def _description(collection: Collection) -> dict:
         "citation": collection.citation,
         "note": getattr(collection, "note", ""),
     }
+
+
+def open_scenario(path: str) -> Scenario:
+    """The recording at ``path``: a folder that holds one, or FOLDER/NAME for one of several.
+
+    Raises ValueError naming the recordings that are there where ``path`` names none of them.
+    """
+    parts, wrong = Path(path).parts, None
+    for split in range(len(parts), max(0, len(parts) - LEVELS), -1):
+        start, name = str(Path(*parts[:split])), "/".join(parts[split:])
+        folder = folder_of(start)
+        if not folder.exists() or folder == Path(folder.anchor):
+            continue
+        try:
+            collection = open_collection(start)
+        except ValueError as error:
+            wrong = wrong or error
+            continue
+        known = list(collection.scenarios)
+        if name in known or (not name and len(known) == 1):
+            return collection.load(name or known[0])
+        shown = ", ".join(known[:5]) + (", ..." if len(known) > 5 else "")
+        wrong = ValueError(
+            f"{start} holds {len(known)} recordings ({shown})" + (f", and none named {name!r}" if name else f"; name one: {start}/NAME")
+        )
+        break
+    raise wrong or ValueError(f"no recording at {path}: no such file or folder")

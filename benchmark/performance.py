@@ -1,7 +1,7 @@
 """How fast the engine is, beside a plain numpy loop (CPU) and the reference implementation's published rates (GPU).
 
-    python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core
-    python -m twinbench.benchmark.performance --cuda       frames per second of 667 substeps on the GPU, single and in batches of 64
+python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core
+python -m twinbench.benchmark.performance --cuda       frames per second of 667 substeps on the GPU, single and in batches of 64
 """
 
 from __future__ import annotations

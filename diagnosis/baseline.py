@@ -51,7 +51,9 @@ def baseline_model(replicas: list[Replica]) -> Model:
         terms.append(FarSprings)
         knobs.append(Knob("far_share", 0.5, 1.0, 1e-3, 10.0, log=True))
         values["far_reach"] = FAR * replicas[0].spacing
-    knobs += [Knob(p.name, 0.0, 0.3, p.low, p.high) for field in (StiffnessField, MassField) for p in field.parameters]
+    solid = any(len(r.recording.interior) for r in replicas)
+    for field, spread in ((StiffnessField, 0.3), (MassField, 0.3 if solid else 0.15)):  # what is thin is as heavy everywhere
+        knobs += [Knob(p.name, 0.0, spread, p.low, p.high) for p in field.parameters]
     return Model(tuple(terms), values, tuple(knobs))
 
 

@@ -28,7 +28,13 @@ NAMES = (
 )
 SEEN = 3.3  # standard errors: an effect of this size is noticed in 95 of 100 recordings at a level of 5 % (1.65 + 1.65)
 DEPARTS = 0.15  # of the extension's largest difference from the baseline: from then on it acts
-SUDDEN = ("grip_slip", "tearing", "hidden_obstacle", "self_contact", "plasticity")  # effects that begin; the others act from the first frame
+SUDDEN = (
+    "grip_slip",
+    "tearing",
+    "hidden_obstacle",
+    "self_contact",
+    "plasticity",
+)  # effects that begin; the others act from the first frame
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,13 @@ def diagnose(
     if preset not in PRESETS:
         raise ValueError(f"unknown preset {preset!r}; known: {', '.join(PRESETS)}")
     inquiry = inquire(
-        scenario, transfer, fitted_on, train_end=scenario.split.train_end, preset=_affordable(PRESETS[preset], scenario), device=device, progress=progress
+        scenario,
+        transfer,
+        fitted_on,
+        train_end=scenario.split.train_end,
+        preset=_affordable(PRESETS[preset], scenario),
+        device=device,
+        progress=progress,
     )
     found, weights = readings(inquiry), weights or calibration()
     around = context(inquiry, found)
@@ -185,7 +197,11 @@ def _where(inquiry, chosen):
         if len(nodes):
             centre = replica.nodes[nodes].mean(0)
             radius = float(np.linalg.norm(replica.nodes[nodes] - centre, axis=1).max())
-            return nodes.tolist(), {"points": replica.particles(nodes), "centroid": centre.tolist(), "radius": max(radius, replica.spacing / 2)}
+            return nodes.tolist(), {
+                "points": replica.particles(nodes),
+                "centroid": centre.tolist(),
+                "radius": max(radius, replica.spacing / 2),
+            }
     return [], None
 
 
@@ -259,7 +275,11 @@ def _experiment(inquiry, decision: Decision):
     open_names = [n for n in (decision.effect, *decision.alternatives) if n]
     if decision.verdict == "ambiguous":
         lines = [f"if {words.get(n, n)}, what shows it is {motions[n]}" for n in open_names if n in motions]
-        return "Record both: " + "; ".join(lines) + ". The reading whose motion the extended twin still predicts is the right one." if lines else None
+        return (
+            "Record both: " + "; ".join(lines) + ". The reading whose motion the extended twin still predicts is the right one."
+            if lines
+            else None
+        )
     if decision.verdict in ("cannot_tell", "unknown"):
         lines = [f"{motions[n]} ({n.replace('_', ' ')})" for n in open_names if n in motions]
         return "To tell more: " + "; ".join(lines) + "." if lines else None
@@ -269,7 +289,15 @@ def _experiment(inquiry, decision: Decision):
 def _table(inquiry, decision):
     """A row for every effect that was tried: gains after the refit, or linear ones with the reason why it went no further."""
     rows, base = [], inquiry.base
-    rows.append({"effect": "baseline", "kind": "baseline", "train_gain": 0.0, "heldout_gain": 0.0, "transfer_gain": 0.0 if inquiry.transfers else None})
+    rows.append(
+        {
+            "effect": "baseline",
+            "kind": "baseline",
+            "train_gain": 0.0,
+            "heldout_gain": 0.0,
+            "transfer_gain": 0.0 if inquiry.transfers else None,
+        }
+    )
     refitted = {r.score.hypothesis.term.name: r for r in inquiry.refits}
     for term, score in inquiry.best().items():
         h, refit = score.hypothesis, refitted.get(term)
@@ -296,7 +324,12 @@ def _table(inquiry, decision):
         gain = {p.name: 1 - learned.observed[p.name] / max(base.observed[p.name], 1e-300) for p in inquiry.parts}
         transfer = [gain[t] for t in _transfers(inquiry)]
         rows.append(
-            {"effect": "learned_residual", "kind": "yardstick", "train_gain": _finite(gain["train"]), "heldout_gain": _finite(gain["heldout"])}
+            {
+                "effect": "learned_residual",
+                "kind": "yardstick",
+                "train_gain": _finite(gain["train"]),
+                "heldout_gain": _finite(gain["heldout"]),
+            }
             | {"transfer_gain": _finite(float(np.mean(transfer))) if transfer else None}
         )
     return sorted(rows, key=lambda r: (r["kind"] == "yardstick", -(r.get("probability") or 0.0), -(r.get("train_gain") or 0.0)))
@@ -357,7 +390,13 @@ def _recordings(inquiry, scenario):
     out = []
     for role, simulator in zip(roles, inquiry.simulators, strict=True):
         replica = simulator.replica
-        one = {"name": replica.name, "role": role, "frames": replica.frames, "points": len(replica.nodes), "fps": float(replica.recording.fps)}
+        one = {
+            "name": replica.name,
+            "role": role,
+            "frames": replica.frames,
+            "points": len(replica.nodes),
+            "fps": float(replica.recording.fps),
+        }
         out.append(one | {"train_end": inquiry.train_end if role == "case" else 0})
     return out
 

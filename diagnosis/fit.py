@@ -43,9 +43,7 @@ class Task:
         """Per recording (B, F, n, 3): the nodes at each of ``zs``."""
         rows = [{**model.decode(z), "observer_bandwidth": self.bandwidth} for z in zs]
         substeps = substeps or [None] * len(self.simulators)
-        return [
-            s.run(model.terms, rows, f, substeps=n) for s, f, n in zip(self.simulators, self.frames, substeps, strict=True)
-        ]
+        return [s.run(model.terms, rows, f, substeps=n) for s, f, n in zip(self.simulators, self.frames, substeps, strict=True)]
 
     def residuals(self, predictions) -> np.ndarray:
         """(B, R) weighted innovations y - x of all recordings; what was not seen is 0, what blew up is NaN."""
@@ -115,7 +113,8 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         steps = [max(a) for a in zip(*(task.substeps(model, t) for t in trials), strict=True)]
         found = task.residuals(task.predict(model, trials, steps))
         costs = [
-            float((_huber(r, residual) * r) @ r + prior @ t**2) if np.isfinite(r).all() else np.inf for r, t in zip(found, trials, strict=True)
+            float((_huber(r, residual) * r) @ r + prior @ t**2) if np.isfinite(r).all() else np.inf
+            for r, t in zip(found, trials, strict=True)
         ]
         best = int(np.argmin(costs))
         if not costs[best] < objective * (1 - 1e-6):
@@ -135,7 +134,7 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         slopes, exact = (slopes + np.outer(change - slopes @ step, step / max(step @ step, 1e-12)), False) if exact else (None, True)
     loss = history[-1]
     scale = max(loss, 1e-16) / INDEPENDENT
-    covariance = np.linalg.pinv(normal + scale * np.eye(len(z))) * scale
+    covariance = np.linalg.pinv(np.nan_to_num(normal) + scale * np.eye(len(z))) * scale
     return Fit(model, z, loss, covariance, tuple(history))
 
 

@@ -19,6 +19,7 @@ from .replica import spread_out
 __all__ = ["Hypothesis", "catalogue", "hypotheses_for"]
 
 PEAKS, SPREAD = 4, 4  # places tried: where the observer pushes most, and evenly over the body
+LIMP = 0.1  # share of a body's extent that stands out by itself where bending is noticeable
 FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
 STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
 
@@ -76,13 +77,24 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
         if not _applies(term, simulator):
             continue
         effect, known = term.effect, {p.name: p for p in term.parameters}
-        size = max(abs(effect.typical[a]) for a in effect.amplitudes)
+        size = max(abs(effect.typical[a]) for a in effect.amplitudes) if term.stage != "hinge" else _rigidity(simulator.replica, term)
         knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25) for a in effect.amplitudes)
         for shape in product(*effect.shapes.values()):
             values = dict(zip(effect.shapes, shape, strict=True))
             for place in _places(term, simulator, predicted, push, values):
                 found.append(Hypothesis(effect.name, term, {**values, **place}, knobs))
     return found
+
+
+def _rigidity(replica, term) -> float:
+    """A noticeable stiffness of hinges for particles of unit mass [N m^2]: weight per length times the cube of the length that it bends.
+
+    w l^3 with w = g / spacing is what bends a cantilever of length l by about an eighth of l; damping is that over a swing of it.
+    """
+    gravity = max(1.0, float(np.linalg.norm(replica.recording.gravity)))
+    length = LIMP * float(np.linalg.norm(np.ptp(replica.nodes, axis=0)))
+    size = gravity / replica.spacing * length**3
+    return size * float(np.sqrt(length / gravity)) if term.name == "bending_damping" else size
 
 
 def _applies(term, simulator):

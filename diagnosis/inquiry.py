@@ -20,7 +20,7 @@ from .screen import Part, Score, screen
 
 __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 
-BANDWIDTH = 1.0  # Hz of the observer: slower than the motions, faster than errors grow
+BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 FIRM = 0.25  # of a nuisance's spread that is left once other recordings have fixed it
 
@@ -35,7 +35,7 @@ class Preset:
     refits: int
 
 
-PRESETS = {"quick": Preset(100, 8, 4, 12), "full": Preset(300, 16, 8, 26)}
+PRESETS = {"quick": Preset(100, 8, 4, 24), "full": Preset(300, 16, 8, 40)}
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,9 @@ def inquire(
         def blind(replica, pair=(score.hypothesis, rivals[k].hypothesis)):
             return np.union1d(*(h.follows(replica) for h in pair))
 
-        refits.append(Refit(score, evaluate(wide, found, score, parts, leave=blind), evaluate(wide, others[k], rivals[k], parts, leave=blind)))
+        refits.append(
+            Refit(score, evaluate(wide, found, score, parts, leave=blind), evaluate(wide, others[k], rivals[k], parts, leave=blind))
+        )
     return replace(inquiry, base=base, refits=refits, yardstick=yardstick)
 
 

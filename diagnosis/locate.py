@@ -79,7 +79,9 @@ class Cluster:
     p: float
 
 
-def clusters(simulator: Simulator, predicted: np.ndarray, *, floor: float, window: int = 6, flips: int = 200, seed: int = 0) -> list[Cluster]:
+def clusters(
+    simulator: Simulator, predicted: np.ndarray, *, floor: float, window: int = 6, flips: int = 200, seed: int = 0
+) -> list[Cluster]:
     """Contiguous space-time clusters of innovations above three times ``floor`` [m], heaviest first, with family-wise p (sign flips by block).
 
     Innovations are averaged over windows of frames and neighbouring nodes before they are compared, so noise shrinks and a common push adds.

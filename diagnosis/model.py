@@ -19,7 +19,7 @@ __all__ = ["Knob", "Model", "Simulator"]
 LADDER = 1.15  # substeps come in steps of 15 %, so that finite differences compare runs on one grid
 SAFETY = 0.8  # of the stable step
 BATCH = 64  # systems in one launch
-MOST = 600  # substeps a frame: a body that needs more is too stiff to be told from a stiffer one
+MOST = 300  # substeps a frame: a body that needs more is too stiff to be told from a stiffer one
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,9 @@ class Simulator:
         count = self.replica.system.particle_count
         masses = made.mass[:count].cpu().numpy().astype(float)
         terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in ("axial", "strand", "hinge"))
-        body = replace(self.replica.system, stiffness=made.stiffness.cpu().numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms)
+        body = replace(
+            self.replica.system, stiffness=made.stiffness.cpu().numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms
+        )
         need = stable_substeps([body], 1 / self.replica.recording.fps, safety=SAFETY, least=8)
         return min(MOST, ceil(LADDER ** ceil(log(need) / log(LADDER))))
 
@@ -137,5 +139,3 @@ class Simulator:
             fps = self.replica.recording.fps
             self._batches[key] = Batch([system] * size, fps=fps, substeps=substeps or 1, device=self.device, double=self.double)
         return self._batches[key]
-
-

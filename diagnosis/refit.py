@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,8 +16,9 @@ from .screen import Part, Score, _with
 __all__ = ["Verdictable", "evaluate", "refit"]
 
 STARTS = (0.02, 0.2, 0.6, 1.2)  # shares of the linear estimate from which a refit may begin
-TYPICAL = (0.5, 2.0)  # shares of a noticeable size
-SOFTER = (1.0, 0.3)  # factors on the body's stiffness
+TRIAL = 2  # steps after which the better of a near and a far start goes on
+DECADES = (0.5, 2.0, 8.0, 40.0)  # of a noticeable size, where one number is the effect's whole size
+RELEASES = ({}, {"body_stiffness": 0.3}, {"drag_damping": 0.03, "dashpot_damping": 0.5})  # of what the fit had to put in its place
 
 
 @dataclass(frozen=True)
@@ -51,34 +52,38 @@ def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, sp
         h = score.hypothesis
         model = _with(base.model, {h.term})
         model = Model(model.terms, {**model.values, **h.values}, base.model.knobs + h.knobs + h.free_knobs(spacing))
-        fits.append(fit(task, model, _best(task, model, _starts(base, model, score)), iterations=iterations))
+        near, far = _starts(base, model, score)
+        tried = [fit(task, model, _best(task, model, starts), iterations=TRIAL) for starts in (near, far) if starts]
+        first = min(tried, key=lambda f: f.loss)
+        fits.append(fit(task, model, first.z, iterations=iterations - TRIAL))
     return fits
 
 
-def _starts(base: Fit, model: Model, score: Score) -> list[np.ndarray]:
-    """Where a refit may begin: at shares of the linear estimate and at noticeable sizes; a law of the material with a softer body, too.
+def _starts(base: Fit, model: Model, score: Score) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Where a refit may begin: at shares of the linear estimate, and far from it.
 
-    A twin that was fitted without the effect has taken some of it for stiffness: far from there its linear estimate means little.
+    A twin that was fitted without the effect has taken it for stiffness or drag, and its linear estimate then means little: where one number
+    is the effect's whole size, the far starts have it at noticeable sizes, with what had to stand in for it taken back.
     """
-    h, names = score.hypothesis, model.names
-    sizes = [share * np.asarray(score.amplitude) for share in STARTS]
-    effect = h.term.effect
-    softer = (1.0,)
-    if effect and h.term.stage in ("axial", "strand"):
-        signs = np.where(np.asarray(score.amplitude) < 0, -1.0, 1.0)
-        typical = np.array([abs(effect.typical[k.name]) for k in h.knobs])
-        sizes += [share * typical * signs for share in TYPICAL]
-        softer = SOFTER
-    starts = []
-    for size in sizes:
-        for factor in softer:
-            z = np.concatenate([base.z, np.zeros(len(model.knobs) - len(base.z))])
-            for k, amplitude in zip(h.knobs, size, strict=True):
-                z[names.index(k.name)] = k.encode(np.clip(amplitude, k.low, k.high))
-            at = names.index("body_stiffness")
-            z[at] = model.knobs[at].encode(max(model.knobs[at].low, factor * model.knobs[at].decode(z[at])))
-            starts.append(z)
-    return starts
+    h = score.hypothesis
+    near = [_at(base, model, {k.name: share * a for k, a in zip(h.knobs, score.amplitude, strict=True)}, {}) for share in STARTS]
+    far = []
+    if len(h.knobs) == 1 and h.term.effect and h.term.stage != "observer":
+        knob = h.knobs[0]
+        sign = -1.0 if score.amplitude[0] < 0 or knob.high <= 0 else 1.0
+        far = [_at(base, model, {knob.name: sign * share * knob.spread}, release) for share in DECADES for release in RELEASES]
+    return near, far
+
+
+def _at(base, model, amplitudes, release):
+    """The baseline's z with amplitudes set and nuisances moved by factors."""
+    z = np.concatenate([base.z, np.zeros(len(model.knobs) - len(base.z))])
+    for k, knob in enumerate(model.knobs):
+        if knob.name in amplitudes:
+            z[k] = knob.encode(np.clip(amplitudes[knob.name], knob.low, knob.high))
+        elif knob.name in release:
+            z[k] = knob.encode(np.clip(release[knob.name] * knob.decode(z[k]), knob.low, knob.high))
+    return z
 
 
 def _best(task, model, starts):

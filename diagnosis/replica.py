@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datasets.scenario import Observed
+from ..methods.registration import rigid_transform
 from ..physics.hinges import natural_curvature
 from ..physics.system import System
 from ..physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
-from ..methods.registration import rigid_transform
 from .matching import material_coordinates
 from .ropes import apart, marked_chains, rope_chains
 from .sightings import Sightings, sight_markers, sight_nodes

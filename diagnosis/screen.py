@@ -160,7 +160,7 @@ def _score(h, origin, nuisance, columns, parts):
     joined = _ridge(np.concatenate([n, a], 1), e, ridge, weak=a.shape[1])
     shift, amplitude = joined[: n.shape[1]], joined[n.shape[1] :]
     low = np.array([k.low for k in h.knobs])
-    if len(h.knobs) == 1 and low[0] >= 0 and amplitude[0] > 0 or len(h.knobs) == 1 and h.knobs[0].high <= 0 and amplitude[0] < 0:
+    if (len(h.knobs) == 1 and low[0] >= 0 and amplitude[0] > 0) or (len(h.knobs) == 1 and h.knobs[0].high <= 0 and amplitude[0] < 0):
         # residual = y - x: a column is d(residual), so the estimate of an amplitude is the negative of its coefficient
         shift, amplitude = plain, np.zeros(1)
     gains = {}

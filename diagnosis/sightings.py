@@ -22,6 +22,7 @@ class Sightings:
     noise      m, standard deviation of one node's coordinate, white in time
     misfit     (N,) m, median distance of each track from the motion it shares with its neighbours
     wrong      (N,) bool: tracks that leave their neighbours for good (drift, swapped identities)
+    slide      by how much the distances between neighbouring tracks spread from early to late: log of the ratio of what 1 in 20 exceeds
     """
 
     position: np.ndarray
@@ -29,6 +30,7 @@ class Sightings:
     noise: float
     misfit: np.ndarray
     wrong: np.ndarray
+    slide: float = 0.0
 
 
 def noise_of(positions: np.ndarray) -> float:
@@ -94,7 +96,32 @@ def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
     track = np.where(bad[..., None] if k > 3 else False, np.nan, track)
     position, held = _pool(track, home, near, owner, nodes)
     noise = noise_of(position)
-    return nodes, Sightings(position, held, noise, misfit, wrong)
+    return nodes, Sightings(
+        position, held, noise, misfit, wrong, slide_of(np.where(visible[:, usable, None], points[:, usable], np.nan), near)
+    )
+
+
+def slide_of(track, near) -> float:
+    """log of (what 1 in 20 tracks has changed its distance to neighbours by in the last quarter) over (in the first): 0 where nothing slides.
+
+    ``track`` (T, N, 3) m, NaN where not seen, ``near`` (N, k) its neighbours in frame 0, itself first.
+    """
+    near = near[:, 1:6]
+    if len(track) < 8 or near.shape[1] < 3:
+        return 0.0
+    start = np.linalg.norm(track[0][:, None] - track[0][near], axis=-1)
+
+    def spread(frame):
+        change = np.abs(np.linalg.norm(track[frame][:, None] - track[frame][near], axis=-1) - start)
+        change = change[np.isfinite(change).sum(1) >= 3]
+        return np.quantile(np.nanmedian(change, axis=1), 0.95) if len(change) else np.nan
+
+    quarter = len(track) // 4
+    with np.errstate(all="ignore"):
+        early, late = (
+            float(np.nanmedian([spread(f) for f in frames])) for frames in (range(2, quarter + 1), range(len(track) - quarter, len(track)))
+        )
+    return float(np.log(late / early)) if early > 0 and late > 0 else 0.0
 
 
 def _rotations(track, home, near):

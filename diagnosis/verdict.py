@@ -14,6 +14,7 @@ from .inquiry import Inquiry, Refit
 __all__ = ["MEASUREMENT", "Calibration", "Decision", "Reading", "calibration", "decide", "readings"]
 
 MEASUREMENT = ("controller_delay", "camera_pose", "track_drift", "grip_points")
+SLID = 0.5  # log of the growth of neighbour distances that deformation alone brings
 NONE, OTHER = "adequate", "unknown"
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
 CONTEXT = ("learned", "best", "floor")
@@ -31,13 +32,17 @@ class Reading:
     term: str
     features: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def key(self) -> str:
+        return self.term or self.effect
+
 
 @dataclass(frozen=True)
 class Calibration:
     """Weights of the decision, fitted on recordings whose effect is known.
 
     weights   of ``FEATURES``, the same for all effects
-    biases    by effect: how readily it explains what is not it; those of "adequate" and "unknown" too
+    biases    by term: how readily it explains what is not it; those of "adequate" and "unknown" too
     context   by "adequate" and "unknown", weights of ``CONTEXT``
     named     least probability of a name; ``both`` of the two best together; ``sure`` of "adequate" and "unknown"
     source    what it was fitted on
@@ -110,9 +115,8 @@ def _worth(features: Mapping[str, float]) -> float:
 
 def _tracks(inquiry: Inquiry) -> list[Reading]:
     """Faults that show in the tracks without any simulation: drift as tracks that leave their neighbours."""
-    share = max(float(s.replica.sightings.wrong.mean()) for s in inquiry.simulators[: 1 + inquiry.transfers])
-    drift = float(np.log((share + 0.003) / 0.02))
-    return [Reading("track_drift", "", dict.fromkeys(FEATURES, 0.0) | {"seen": drift})]
+    slide = max(s.replica.sightings.slide for s in inquiry.simulators[: 1 + inquiry.transfers])
+    return [Reading("track_drift", "", dict.fromkeys(FEATURES, 0.0) | {"seen": max(0.0, slide - SLID)})]
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
@@ -129,7 +133,7 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     names, values = [], []
     for reading in found:
         names.append(reading.effect)
-        value = c.biases.get(reading.effect, 0.0) + sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
+        value = c.biases.get(reading.key, 0.0) + sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
         values.append(value)
     for name in (NONE, OTHER):
         names.append(name)
@@ -146,22 +150,25 @@ def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     for name, w in zip(names, weight, strict=True):
         chances[name] = chances.get(name, 0.0) + float(w)
     chances = dict(sorted(chances.items(), key=lambda item: -item[1]))
-    effects = [n for n in chances if n not in (NONE, OTHER)]
-    first = effects[0] if effects else None
-    second = effects[1] if len(effects) > 1 else None
-    nothing, other = chances[NONE], chances[OTHER]
-    if first and chances[first] >= c.named:
-        verdict, effect, also = ("measurement" if first in MEASUREMENT else "missing"), first, ()
-    elif first and second and chances[first] + chances[second] >= c.both and chances[first] > nothing:
-        verdict, effect, also = "ambiguous", first, (second,)
-    elif nothing >= c.sure:
-        verdict, effect, also = NONE, None, ()
-    elif other > nothing or 1 - nothing >= c.both:
-        verdict, effect, also = OTHER, None, tuple(effects[:2])
-    else:
-        verdict, effect, also = "cannot_tell", None, tuple(effects[:2])
+    verdict, effect, also = verdict_of(chances, c)
     chosen = None
     if effect:
         mine = [(v, r) for r, v in zip(found, values, strict=False) if r.effect == effect]
         chosen = max(mine, key=lambda pair: pair[0])[1]
     return Decision(verdict, effect, also, chances, chosen)
+
+
+def verdict_of(chances: Mapping[str, float], c: Calibration) -> tuple[str, str | None, tuple[str, ...]]:
+    """Verdict, effect and alternatives from probabilities, largest first."""
+    effects = [n for n in chances if n not in (NONE, OTHER)]
+    first, second = [*effects, None, None][:2]
+    nothing, other = chances[NONE], chances[OTHER]
+    if first and chances[first] >= c.named:
+        return ("measurement" if first in MEASUREMENT else "missing"), first, ()
+    if second and chances[first] + chances[second] >= c.both and chances[first] > nothing:
+        return "ambiguous", first, (second,)
+    if nothing >= c.sure:
+        return NONE, None, ()
+    if other > nothing or 1 - nothing >= c.both:
+        return OTHER, None, tuple(effects[:2])
+    return "cannot_tell", None, tuple(effects[:2])

@@ -25,7 +25,7 @@ class Bending(Term):
     name = "bending"
     stage = "hinge"
     parameters = (
-        Parameter("bending_stiffness", 0.0, 0.0, 1.0, "N m^2", "flexural rigidity E I; of a sheet, of the strip that a hinge stands for"),
+        Parameter("bending_stiffness", 0.0, 0.0, 100.0, "N m^2", "flexural rigidity E I; of a sheet, of the strip that a hinge stands for"),
         Parameter("natural_share", 1.0, 0.0, 2.0, "-", "how much of the given natural curvature the body wants"),
     )
     law = moment

@@ -21,7 +21,7 @@ class BendingDamping(Term):
 
     name = "bending_damping"
     stage = "hinge"
-    parameters = (Parameter("bending_damping", 0.0, 0.0, 0.1, "N m^2 s", "moment per rate of curvature"),)
+    parameters = (Parameter("bending_damping", 0.0, 0.0, 10.0, "N m^2 s", "moment per rate of curvature"),)
     law = moment
     effect = Effect(
         name="bending_damping",

@@ -24,7 +24,7 @@ class QuadraticDrag(Term):
 
     name = "quadratic_drag"
     stage = "velocity"
-    parameters = (Parameter("quadratic_drag", 0.0, 0.0, 20.0, "1/m", "share of its speed that a particle loses per metre of way"),)
+    parameters = (Parameter("quadratic_drag", 0.0, 0.0, 1000.0, "1/m", "share of its speed that a particle loses per metre of way"),)
     law = resist
     effect = Effect(
         "quadratic_drag",

@@ -23,7 +23,7 @@ class Torsion(Term):
 
     name = "torsion"
     stage = "hinge"
-    parameters = (Parameter("torsion_stiffness", 0.0, 0.0, 1.0, "N m^2", "torsional rigidity G J"),)
+    parameters = (Parameter("torsion_stiffness", 0.0, 0.0, 100.0, "N m^2", "torsional rigidity G J"),)
     law = moment
     effect = Effect(
         name="torsion",

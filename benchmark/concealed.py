@@ -1,0 +1,299 @@
+"""Diagnosing recordings whose effect is known and was concealed: answers, scores against the labels, and the calibration of the decision."""
+
+from __future__ import annotations
+
+import json
+import time
+import traceback
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..diagnosis.verdict import FEATURES, NONE, OTHER, Calibration, Reading, decide, scores, verdict_of
+
+__all__ = ["answer", "answers", "by_effect", "calibrate", "crossed", "decided", "markdown", "score", "study", "thresholds"]
+
+LABELS = "labels.json"
+RIDGE = 0.02  # of the shared weights; effects' own biases are few cases each and get more
+RIDGE_BIAS = 0.15
+CLEAR = 0.010  # m RMS: an effect that moves the points by this is of clear size
+FOLDS = 8
+
+
+def answer(case: Path, out: Path, preset: str, device: str) -> dict:
+    """Diagnose ``case``/fit with ``case``/transfer, write into ``out``/NAME, and return the result; an error is an answer that says so."""
+    import twinbench
+
+    from ..diagnosis.diagnose import diagnose
+
+    def load(folder):
+        collection = twinbench.open_collection(str(folder))
+        return collection.load(next(iter(collection.scenarios)))
+
+    begun = time.time()
+    try:
+        found = diagnose(load(case / "fit"), transfer=[load(case / "transfer")], preset=preset, device=device)
+        found.write(out / case.name)
+    except Exception as error:
+        traceback.print_exc()
+        return {"verdict": "failed", "error": f"{type(error).__name__}: {error}", "seconds": time.time() - begun}
+    return json.loads((out / case.name / "diagnosis.json").read_text())
+
+
+def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", jobs: int = 1, progress=print) -> dict[str, dict]:
+    """Answers by case for a folder that ``python -m twinbench.datasets.concealed`` wrote; those that are there are kept."""
+    cases = sorted(p for p in data.iterdir() if (p / "fit").is_dir() and (p / "transfer").is_dir())
+    if not cases:
+        raise ValueError(
+            f"{data}: no case_*/fit and case_*/transfer here; write some with python -m twinbench.datasets.concealed --out {data}"
+        )
+    done = {c.name: json.loads((out / c.name / "diagnosis.json").read_text()) for c in cases if (out / c.name / "diagnosis.json").exists()}
+    todo = [c for c in cases if c.name not in done]
+    if jobs == 1:
+        for case in todo:
+            done[case.name] = answer(case, out, preset, device)
+            progress(f"{case.name}: {done[case.name]['verdict']} {done[case.name].get('effect') or ''}")
+        return dict(sorted(done.items()))
+    import multiprocessing
+
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        running = {pool.submit(answer, case, out, preset, device): case.name for case in todo}
+        for future in as_completed(running):
+            name = running[future]
+            done[name] = future.result()
+            progress(f"{name}: {done[name]['verdict']} {done[name].get('effect') or ''}")
+    return dict(sorted(done.items()))
+
+
+def decided(result: dict, c: Calibration) -> dict:
+    """``result`` with the decision taken again from its evidence."""
+    if "evidence" not in result:
+        return result
+    found, around = _evidence(result)
+    d = decide(found, around, c)
+    return {**result, "verdict": d.verdict, "effect": d.effect, "alternatives": list(d.alternatives), "probabilities": d.probabilities}
+
+
+def _evidence(result):
+    rows = result["evidence"]["readings"]
+    found = [Reading(r["effect"], r["term"], {k: v for k, v in r.items() if k not in ("effect", "term")}) for r in rows]
+    return found, result["evidence"]["context"]
+
+
+def truth(label: dict) -> str:
+    """What a perfect answer says: "adequate", "unknown" for what is in no catalogue, or the effect."""
+    return NONE if label["kind"] == "control" else OTHER if label["kind"] == "outside" else label["effect"]
+
+
+def score(results: dict[str, dict], labels: dict[str, dict]) -> dict:
+    """Figures by the rules of the challenge: alarms on controls, effects found, names right first and among two, names for the nameless,
+    place and onset of what was named rightly, and the share of the closable error that the named term removes on the transfer recording.
+    """
+    rows = [(results[k], labels[k]) for k in sorted(results) if k in labels]
+    named = ("missing", "measurement", "ambiguous")
+    controls = [r for r, v in rows if v["kind"] == "control"]
+    effects = [(r, v) for r, v in rows if v["kind"] == "effect"]
+    outside = [r for r, v in rows if v["kind"] == "outside"]
+    found = [(r, v) for r, v in effects if r["verdict"] in (*named, OTHER)]
+    first = [(r, v) for r, v in effects if r["verdict"] in named and r["effect"] == v["effect"]]
+    two = [(r, v) for r, v in effects if r["verdict"] in named and v["effect"] in [r["effect"], *r["alternatives"]][:2]]
+    wrong = [(r, v) for r, v in effects if r["verdict"] in named and r["effect"] != v["effect"]]
+    ranked = [_rank(r, v["effect"]) for r, v in effects if "probabilities" in r]
+    places = [d for r, v in first if (d := _distance(r, v)) is not None]
+    onsets = [abs(r["when"]["frames"][0] - v["onset"][0]) for r, v in first if r.get("when") and v["onset"][0] is not None]
+    return {
+        "cases": len(rows),
+        "controls": len(controls),
+        "alarms": sum(r["verdict"] in (*named, OTHER) for r in controls),
+        "named_alarms": sum(r["verdict"] in named for r in controls),
+        "effects": len(effects),
+        "found": len(found),
+        "named": len(first) + len(wrong),
+        "right_first": len(first),
+        "right_of_two": len(two),
+        "wrong": len(wrong),
+        "ranked_first": sum(k == 1 for k in ranked),
+        "ranked_of_two": sum(k <= 2 for k in ranked),
+        "outside": len(outside),
+        "outside_named": sum(r["verdict"] in ("missing", "measurement") for r in outside),
+        "place_mm": 1000 * float(np.median(places)) if places else None,
+        "onset_frames": float(np.median(onsets)) if onsets else None,
+        "closed": float(np.median([c for r, _ in first if (c := closed(r)) is not None])) if first else None,
+        "seconds": float(np.median([r["seconds"] for r, _ in rows])),
+    }
+
+
+def _rank(result, effect):
+    """Place of ``effect`` among the effects by probability, from 1."""
+    names = [n for n in result["probabilities"] if n not in (NONE, OTHER)]
+    return names.index(effect) + 1 if effect in names else len(names) + 1
+
+
+def _distance(result, label):
+    """Between the place said and the place of the label [m], None where either has none."""
+    place = label["place"][0]
+    return float(np.linalg.norm(np.subtract(result["where"]["centroid"], place["centroid"]))) if result.get("where") and place else None
+
+
+def closed(result) -> float | None:
+    """Share of the error above the noise floor that the named term removes on the transfer recording."""
+    fit = result["fit"].get("transfer")
+    if not fit or fit["extended"] is None or not fit["baseline"] > fit["noise_floor"]:
+        return None
+    return (fit["baseline"] - fit["extended"]) / (fit["baseline"] - fit["noise_floor"])
+
+
+def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str = "") -> Calibration:
+    """Weights that make the labels likely: one multinomial choice a case among its readings, "adequate" and "unknown"; ridge priors.
+
+    An effect whose term was never refitted counts as "unknown".
+    """
+    from scipy.optimize import minimize
+
+    rows = [(*_evidence(r), truth(labels[k])) for k, r in sorted(results.items()) if k in labels and "evidence" in r]
+    terms = sorted({r.key for found, _, _ in rows for r in found})
+    features = (*FEATURES, "seen")
+    around = sorted({k for _, c, _ in rows for k in c})
+    start = np.zeros(len(features) + len(terms) + 2 * (len(around) + 1))
+
+    def unpack(v):
+        weights = dict(zip(features, v, strict=False))
+        v = v[len(features) :]
+        biases = dict(zip(terms, v, strict=False))
+        v = v[len(terms) :]
+        context = {}
+        for k, name in enumerate((NONE, OTHER)):
+            part = v[k * (len(around) + 1) : (k + 1) * (len(around) + 1)]
+            biases[name] = part[0]
+            context[name] = dict(zip(around, part[1:], strict=True))
+        return Calibration(weights, biases, context)
+
+    def cost(v):
+        c, total = unpack(v), 0.0
+        for found, context, true in rows:
+            names, values = scores(found, context, c)
+            values = values - values.max()
+            right = [k for k, n in enumerate(names) if n == true] or [len(names) - 1]
+            total -= np.log(np.exp(values[right]).sum() / np.exp(values).sum())
+        size = len(FEATURES)  # what the tracks say by themselves is not shrunk
+        return (
+            total / len(rows)
+            + RIDGE * float(v[:size] @ v[:size]) / 10
+            + RIDGE_BIAS / 10 * float(v[len(features) : len(features) + len(terms)] @ v[len(features) : len(features) + len(terms)])
+        )
+
+    found = minimize(cost, start, method="L-BFGS-B")
+    c = unpack(np.round(found.x, 4))
+    return Calibration({k: float(v) for k, v in c.weights.items()}, {k: float(v) for k, v in c.biases.items()}, c.context, source=source)
+
+
+def crossed(results: dict[str, dict], labels: dict[str, dict], *, seed: int = 0, thresholds: Calibration | None = None) -> dict[str, dict]:
+    """Decisions on every case by a calibration that did not see it (``FOLDS`` parts)."""
+    names = [k for k in sorted(results) if k in labels]
+    fold = np.random.default_rng(seed).permutation(len(names)) % FOLDS
+    out = {}
+    for part in range(FOLDS):
+        c = calibrate({n: results[n] for n, f in zip(names, fold, strict=True) if f != part}, labels)
+        if thresholds:
+            c = replace(c, named=thresholds.named, both=thresholds.both, sure=thresholds.sure)
+        out |= {n: decided(results[n], c) for n, f in zip(names, fold, strict=True) if f == part}
+    return out
+
+
+def markdown(results: dict[str, dict], labels: dict[str, dict]) -> str:
+    """A row for every case, and a row for every effect with how often it was found and named."""
+    lines = [
+        "| case | truth | body | moved mm | verdict | effect | alternatives | p | place mm | transfer mm before > after |",
+        "|" + "---|" * 10,
+    ]
+    for name in sorted(results):
+        r, v = results[name], labels[name]
+        told = (r.get("probabilities") or {}).get(r.get("effect") or NONE)
+        d = _distance(r, v)
+        fit = (r.get("fit") or {}).get("transfer") or {}
+        after = f"{1000 * fit['baseline']:.1f} > {1000 * fit['extended']:.1f}" if fit.get("extended") else ""
+        what = v["effect"] or f"control ({v['control']})"
+        what += " (outside)" if v["kind"] == "outside" else ""
+        cells = [
+            name,
+            what,
+            v["object"],
+            f"{1000 * v['displacement']:.0f}",
+            r["verdict"],
+            r.get("effect") or "",
+            ", ".join(r.get("alternatives") or []),
+        ]
+        cells += ["" if told is None else f"{told:.2f}", "" if d is None else f"{1000 * d:.0f}", after]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def by_effect(results: dict[str, dict], labels: dict[str, dict]) -> str:
+    """Per effect: cases, found, named right, named wrong as."""
+    groups: dict[str, list] = {}
+    for name in sorted(results):
+        groups.setdefault(truth(labels[name]), []).append(results[name])
+    lines = ["| truth | cases | right | refused | said instead |", "|---|---|---|---|---|"]
+    for true, group in sorted(groups.items()):
+        said = Counter(r["effect"] or r["verdict"] for r in group)
+        right = said.pop(true, 0)
+        refused = sum(said.pop(k, 0) for k in ("cannot_tell", *((NONE,) if true != NONE else ()), *((OTHER,) if true != OTHER else ())))
+        lines.append(f"| {true} | {len(group)} | {right} | {refused} | {', '.join(f'{k} {n}' for k, n in said.most_common())} |")
+    return "\n".join(lines)
+
+
+def thresholds(
+    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.05, seeds: Sequence[int] = (0,)
+) -> tuple[float, float, float]:
+    """Least probabilities (named, both, sure) that keep named alarms on controls below the share ``alarms`` in cross-validation."""
+    best, chosen = -np.inf, (0.5, 0.7, 0.5)
+    runs = [crossed(results, labels, seed=s) for s in seeds]
+    for named in (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7):
+        for both in (0.4, 0.5, 0.6, 0.7, 0.8):
+            for sure in (0.15, 0.2, 0.3, 0.4, 0.5):
+                if both < named:
+                    continue
+                worth = 0.0
+                for run in runs:
+                    c = Calibration({}, {}, {}, named, both, sure)
+                    s = score({k: _again(r, c) for k, r in run.items()}, labels)
+                    if s["alarms"] > alarms * s["controls"]:
+                        worth -= 10 * (s["alarms"] - alarms * s["controls"])
+                    worth += (
+                        s["right_first"]
+                        + 0.4 * (s["right_of_two"] - s["right_first"])
+                        + 0.2 * s["found"]
+                        - 0.5 * s["wrong"]
+                        - 0.7 * s["outside_named"]
+                    )
+                if worth > best:
+                    best, chosen = worth, (named, both, sure)
+    return chosen
+
+
+def study(data: Path, out: Path, *, preset: str, device: str, jobs: int, calibrating: bool) -> tuple[dict, dict]:
+    """Answers and labels of a folder of cases; scores.json, cases.md and, ``calibrating``, calibration.json are written into ``out``."""
+    file = data / LABELS
+    if not file.is_file():
+        raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
+    labels = json.loads(file.read_text())
+    results = answers(data, out, preset=preset, device=device, jobs=jobs)
+    if calibrating:
+        fitted = calibrate(results, labels, source=f"{len(results)} cases of {data.name}")
+        named, both, sure = thresholds(results, labels)
+        fitted = replace(fitted, named=named, both=both, sure=sure)
+        (out / "calibration.json").write_text(fitted.to_json() + "\n")
+        results = crossed(results, labels, thresholds=fitted)
+    (out / "scores.json").write_text(json.dumps(score(results, labels), indent=1) + "\n")
+    (out / "cases.md").write_text(by_effect(results, labels) + "\n\n" + markdown(results, labels) + "\n")
+    return results, labels
+
+
+def _again(result, c):
+    """The decision from probabilities that are there already."""
+    verdict, effect, also = verdict_of(result["probabilities"], c)
+    return {**result, "verdict": verdict, "effect": effect, "alternatives": list(also)}
