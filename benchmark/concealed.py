@@ -186,7 +186,9 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
             + RIDGE_BIAS / 10 * float(v[len(features) : len(features) + len(terms)] @ v[len(features) : len(features) + len(terms)])
         )
 
-    found = minimize(cost, start, method="L-BFGS-B")
+    # A gain never speaks against its effect, an amplitude more never for it.
+    gains = [(0, None) if name.split("_")[-1] in ("train", "heldout", "transfer", "seen") else (None, 0 if name == "extra" else None) for name in features]
+    found = minimize(cost, start, method="L-BFGS-B", bounds=gains + [(None, None)] * (len(start) - len(features)))
     c = unpack(np.round(found.x, 4))
     return Calibration({k: float(v) for k, v in c.weights.items()}, {k: float(v) for k, v in c.biases.items()}, c.context, source=source)
 
