@@ -1,4 +1,4 @@
-"""Diagnosing recordings whose effect is known and was concealed: answers, scores against the labels, and the calibration of the decision."""
+"""Diagnosing recordings whose effect is known and was concealed: answers, their scores, and the calibration of the decision."""
 
 from __future__ import annotations
 
@@ -187,8 +187,10 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
         )
 
     # A gain never speaks against its effect, an amplitude more never for it.
-    gains = [(0, None) if name.split("_")[-1] in ("train", "heldout", "transfer", "seen") else (None, 0 if name == "extra" else None) for name in features]
-    found = minimize(cost, start, method="L-BFGS-B", bounds=gains + [(None, None)] * (len(start) - len(features)))
+    gains = {name: (0, None) for name in features if name.split("_")[-1] in ("train", "heldout", "transfer", "seen")}
+    bounds = [{**gains, "extra": (None, 0)}.get(name, (None, None)) for name in features]
+    bounds += [(None, None)] * (len(start) - len(features))
+    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
     return Calibration({k: float(v) for k, v in c.weights.items()}, {k: float(v) for k, v in c.biases.items()}, c.context, source=source)
 

@@ -28,13 +28,8 @@ NAMES = (
 )
 SEEN = 3.3  # standard errors: an effect of this size is noticed in 95 of 100 recordings at a level of 5 % (1.65 + 1.65)
 DEPARTS = 0.15  # of the extension's largest difference from the baseline: from then on it acts
-SUDDEN = (
-    "grip_slip",
-    "tearing",
-    "hidden_obstacle",
-    "self_contact",
-    "plasticity",
-)  # effects that begin; the others act from the first frame
+# effects that begin; the others act from the first frame
+SUDDEN = ("grip_slip", "tearing", "hidden_obstacle", "self_contact", "plasticity")
 
 
 @dataclass(frozen=True)
@@ -179,7 +174,7 @@ def _last_residual(inquiry):
 
 
 def _where(inquiry, chosen):
-    """Nodes, and the place as ``diagnosis.json`` has it; of an effect without a place: none, of one at the hands: the nodes that they hold."""
+    """Nodes, and the place as ``diagnosis.json`` has it: none of an effect without one, the held nodes of one at the hands."""
     if chosen is None:
         return [], None
     replica, effect = inquiry.case, chosen.score.hypothesis.term.effect
@@ -257,7 +252,7 @@ def _parameters(chosen):
 
 
 def _detectable(inquiry):
-    """By effect: the smallest amplitude (in the unit of its first parameter) that would have stood out here; None where it was not tested."""
+    """By effect: the smallest amplitude that would have stood out here, in the unit of its first parameter; None if untested."""
     out = dict.fromkeys(NAMES)
     for score in inquiry.scores:
         h = score.hypothesis

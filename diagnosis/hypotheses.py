@@ -71,7 +71,7 @@ def catalogue() -> tuple[type[Term], ...]:
 
 
 def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray) -> list[Hypothesis]:
-    """All hypotheses for a recording, given its free-running or observed twin ``predicted`` (F, n, 3) and the missing ``push`` (F, n, 3)."""
+    """All hypotheses for a recording, given its twin ``predicted`` (F, n, 3), free or observed, and the missing ``push`` (F, n, 3)."""
     found = []
     for term in catalogue():
         if not _applies(term, simulator):
@@ -105,9 +105,7 @@ def _applies(term, simulator):
         return False
     if term.name in ("grip_points", "grip_compliance", "grip_slip") and not simulator.replica.links.any():
         return False
-    if term.name == "controller_delay" and not len(recording.grips):
-        return False
-    return True
+    return term.name != "controller_delay" or len(recording.grips) > 0
 
 
 def _places(term, simulator, predicted, push, shape):
@@ -133,7 +131,7 @@ def _named(prefix, point):
 
 
 def _anchor(replica, predicted, push, node, reach):
-    """Where a cord would have to be tied: push = k (anchor - x) in the patch, least squares over its nodes and frames; else where it began."""
+    """Where a cord would have to be tied: push = k (anchor - x), least squares over the patch and its frames; else where it began."""
     share = np.exp(-((replica.nodes - replica.nodes[node]) ** 2).sum(1) / (2 * reach**2))
     inside = share > 0.3
     x, f = predicted[:, inside].reshape(-1, 3), push[:, inside].reshape(-1, 3)

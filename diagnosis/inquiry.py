@@ -40,7 +40,7 @@ PRESETS = {"quick": Preset(100, 8, 4, 24), "full": Preset(300, 16, 8, 40)}
 
 @dataclass(frozen=True)
 class Refit:
-    """One hypothesis after its refit, beside the baseline, or what else could do the same with as much freedom, judged on the same nodes."""
+    """One hypothesis after its refit, beside the baseline or a rival that is as free, both judged on the same nodes."""
 
     score: Score
     found: Verdictable
@@ -175,7 +175,7 @@ def inquire(
 
 
 def _elsewhere(score: Score, scores: Sequence[Score], spacing: float) -> Score | None:
-    """For a hypothesis that follows the recording in one patch: the best of its kind in a patch apart from it, for it must do better than that."""
+    """For a hypothesis that follows the recording in one patch: the best of its kind in another patch, which it must surpass."""
     mine = score.hypothesis
     if mine.term.stage != "observer":
         return None

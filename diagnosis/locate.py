@@ -82,9 +82,10 @@ class Cluster:
 def clusters(
     simulator: Simulator, predicted: np.ndarray, *, floor: float, window: int = 6, flips: int = 200, seed: int = 0
 ) -> list[Cluster]:
-    """Contiguous space-time clusters of innovations above three times ``floor`` [m], heaviest first, with family-wise p (sign flips by block).
+    """Contiguous space-time clusters of innovations above three times ``floor`` [m], heaviest first.
 
-    Innovations are averaged over windows of frames and neighbouring nodes before they are compared, so noise shrinks and a common push adds.
+    Their p is family-wise, by sign flips of whole blocks. Innovations are averaged over windows of frames and neighbouring nodes before
+    they are compared, so noise shrinks and a common push adds.
     """
     from scipy.spatial import cKDTree
 

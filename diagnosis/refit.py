@@ -62,8 +62,8 @@ def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, sp
 def _starts(base: Fit, model: Model, score: Score) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Where a refit may begin: at shares of the linear estimate, and far from it.
 
-    A twin that was fitted without the effect has taken it for stiffness or drag, and its linear estimate then means little: where one number
-    is the effect's whole size, the far starts have it at noticeable sizes, with what had to stand in for it taken back.
+    A twin that was fitted without the effect has taken it for stiffness or drag, and its linear estimate then means little: where one
+    number is the effect's whole size, the far starts have it at noticeable sizes, with what had to stand in for it taken back.
     """
     h = score.hypothesis
     near = [_at(base, model, {k.name: share * a for k, a in zip(h.knobs, score.amplitude, strict=True)}, {}) for share in STARTS]

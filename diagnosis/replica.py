@@ -298,7 +298,10 @@ def _lengths(points, controllers, springs):
 
 
 def _start_velocity(sightings, positions, fps):
-    """(n, 3) m/s by a cubic through the first seven frames, zero where it cannot be told from noise. (A hand that sets off bends a quadratic.)"""
+    """(n, 3) m/s by a cubic through the first seven frames, zero where it cannot be told from noise.
+
+    A quadratic would be bent by a hand that sets off.
+    """
     span = min(7, len(sightings.position))
     if span < 5:
         return np.zeros_like(positions)

@@ -96,14 +96,14 @@ def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
     track = np.where(bad[..., None] if k > 3 else False, np.nan, track)
     position, held = _pool(track, home, near, owner, nodes)
     noise = noise_of(position)
-    return nodes, Sightings(
-        position, held, noise, misfit, wrong, slide_of(np.where(visible[:, usable, None], points[:, usable], np.nan), near)
-    )
+    slide = slide_of(np.where(visible[:, usable, None], points[:, usable], np.nan), near)
+    return nodes, Sightings(position, held, noise, misfit, wrong, slide)
 
 
 def slide_of(track, near) -> float:
-    """log of (what 1 in 20 tracks has changed its distance to neighbours by in the last quarter) over (in the first): 0 where nothing slides.
+    """log of what 1 in 20 tracks has changed its distance to neighbours by, in the last quarter over in the first.
 
+    It is 0 where nothing slides.
     ``track`` (T, N, 3) m, NaN where not seen, ``near`` (N, k) its neighbours in frame 0, itself first.
     """
     near = near[:, 1:6]
@@ -118,14 +118,13 @@ def slide_of(track, near) -> float:
 
     quarter = len(track) // 4
     with np.errstate(all="ignore"):
-        early, late = (
-            float(np.nanmedian([spread(f) for f in frames])) for frames in (range(2, quarter + 1), range(len(track) - quarter, len(track)))
-        )
+        quarters = range(2, quarter + 1), range(len(track) - quarter, len(track))
+        early, late = (float(np.nanmedian([spread(f) for f in frames])) for frames in quarters)
     return float(np.log(late / early)) if early > 0 and late > 0 else 0.0
 
 
 def _rotations(track, home, near):
-    """Rigid rotations (T, N, 3, 3) that carry each track's neighbourhood from frame 0, and its middles then and now; NaN tracks left out."""
+    """Rigid rotations (T, N, 3, 3) that carry each track's seen neighbourhood from frame 0, and its middles then and now."""
     now = track[:, near]  # (T, N, k, 3)
     there = np.isfinite(now[..., 0])
     weight = there / np.maximum(1, there.sum(-1, keepdims=True))

@@ -120,7 +120,7 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
-    """What speaks for nothing or for something else: the gain of a nameless force field, of the best reading, and the twin's error over noise."""
+    """What speaks for nothing or for something else: gains of a nameless force field and the best reading, the error over noise."""
     before, after = inquiry.base.observed, inquiry.yardstick.observed
     gains = [left(1 - after[part] / max(before[part], 1e-300)) for part in before if part != "train"]
     noise = max(inquiry.case.sightings.noise, 1e-4)
