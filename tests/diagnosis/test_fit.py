@@ -1,0 +1,106 @@
+"""The batched Gauss-Newton fit finds what made a recording, on bodies that the engine itself moved."""
+
+import numpy as np
+import pytest
+from twinbench.diagnosis import fit as fitting
+from twinbench.diagnosis.baseline import baseline_model
+from twinbench.diagnosis.fit import Task, fit, jacobian, mean_error, weights_of
+from twinbench.diagnosis.model import Knob
+
+
+@pytest.fixture(scope="module")
+def hung(tiny):
+    """A simulator of a sheet at rest without gravity, whose twin can be exact."""
+    return tiny.drawn(tiny.concealing(gravity=np.zeros(3), frames=30, train_end=30))
+
+
+@pytest.fixture(scope="module")
+def two(tiny, hung):
+    return tiny.known(baseline_model([hung.replica]), "body_stiffness", "drag_damping")
+
+
+def test_a_free_fit_recovers_the_stiffness_and_drag_that_moved_it(tiny, hung, two):
+    # the recording is a roll-out of the same equations in float64, so the least loss is 0 and is at the truth; quadratic convergence
+    found = fit(Task([hung], [30], 0.0), two, np.zeros(2), iterations=12)
+    assert found.values["body_stiffness"] == pytest.approx(tiny.truth["body_stiffness"], rel=1e-6)
+    assert found.values["drag_damping"] == pytest.approx(tiny.truth["drag_damping"], rel=1e-6)
+    assert found.loss < 1e-12 * found.history[0]
+
+
+def test_an_observed_fit_is_near_the_truth(tiny, hung, two):
+    # the observer pulls towards straight lines between frames, 1/8 a dt^2 off an accelerated path: a bias of a few per cent at 30 Hz
+    found = fit(Task([hung], [30], 2.0), two, np.zeros(2), iterations=8)
+    assert found.values["body_stiffness"] == pytest.approx(tiny.truth["body_stiffness"], rel=0.1)
+    assert found.values["drag_damping"] == pytest.approx(tiny.truth["drag_damping"], rel=0.15)
+    assert list(found.history) == sorted(found.history, reverse=True)
+
+
+def test_every_second_step_takes_a_secant_and_ends_where_full_jacobians_do(hung, two, monkeypatch):
+    task, counted = Task([hung], [30], 0.0), []
+
+    def counting(*arguments, **options):
+        counted.append(1)
+        return jacobian(*arguments, **options)
+
+    monkeypatch.setattr(fitting, "jacobian", counting)
+    saved = fit(task, two, np.zeros(2), iterations=12)
+    assert len(counted) <= (len(saved.history) + 1) // 2 + 1  # half of the steps had to simulate no column
+    # a plain Levenberg-Marquardt with a full finite-difference Jacobian at every step, of another library, on the same residual
+    from scipy.optimize import least_squares
+
+    substeps = task.substeps(two, saved.z)
+    plain = least_squares(lambda z: task.residuals(task.predict(two, [z], substeps))[0], np.zeros(2), method="lm", diff_step=1e-4)
+    np.testing.assert_allclose(saved.z, plain.x, atol=1e-5)  # the least loss is 0, so priors and robust weights do not move it
+
+
+def test_the_jacobian_is_the_derivative_of_the_residual(hung, two):
+    task, z = Task([hung], [12], 2.0), np.array([-0.8, 0.3])
+    substeps = task.substeps(two, z)
+    residual = task.residuals(task.predict(two, [z], substeps))[0]
+    slopes, ok = jacobian(task, two, z, residual, substeps)
+    h = 1e-4
+    for k, e in enumerate(np.eye(2)):
+        ahead, behind = task.residuals(task.predict(two, [z + h * e, z - h * e], substeps))
+        central = (ahead - behind) / (2 * h)
+        # one-sided with a step of 0.05: off by half of it times the curvature, which is of the order of the slope
+        assert np.linalg.norm(slopes[:, k] - central) < 0.05 * np.linalg.norm(central)
+    assert ok.all()
+
+
+def test_frames_that_are_not_fitted_do_not_matter(tiny):
+    first = tiny.concealing(gravity=np.zeros(3), frames=24, train_end=16)
+    moved = first.points.copy()
+    moved[16:] += 0.05
+    fits = []
+    for points in (first.points, moved):
+        simulator = tiny.drawn(tiny.filmed(points, first.controllers, gravity=np.zeros(3)))
+        model = tiny.known(baseline_model([simulator.replica]), "body_stiffness", "drag_damping")
+        fits.append(fit(Task([simulator], [16], 2.0), model, np.zeros(2), iterations=4))
+    assert (fits[0].z == fits[1].z).all() and fits[0].history == fits[1].history
+
+
+def test_weights_count_every_node_alike_and_sum_to_one(tiny):
+    scenario = tiny.concealing(gravity=np.zeros(3), frames=8, train_end=8)
+    seen = scenario.points.copy()
+    seen[3:, 5] = np.nan
+    weights = weights_of(tiny.drawn(scenario, seen=seen), 8)
+    assert (weights**2).sum() == pytest.approx(1)
+    assert (weights[0] == 0).all() and (weights[3:, 5] == 0).all()  # frame 0 is given; what was not seen says nothing
+    assert len(np.unique(weights[weights > 0])) == 1
+
+
+def test_mean_error_is_the_mean_distance_of_seen_nodes(tiny):
+    scenario = tiny.concealing(gravity=np.zeros(3), frames=8, train_end=8)
+    seen = scenario.points.copy()
+    seen[5:] = np.nan
+    simulator = tiny.drawn(scenario, seen=seen)
+    assert mean_error(simulator, scenario.points + [0.003, 0, 0.004], 2, 8) == pytest.approx(0.005)  # 3, 4, 5
+    assert np.isnan(mean_error(simulator, scenario.points, 5, 8))
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_a_knob_decodes_what_it_encodes_and_stays_within_its_bounds(log):
+    knob = Knob("k", 2.0, 0.5, 1.0, 8.0, log=log)
+    for value in (1.0, 2.0, 3.7, 8.0):
+        assert knob.decode(knob.encode(value)) == pytest.approx(value)
+    assert (knob.decode(-100.0), knob.decode(100.0)) == (1.0, 8.0)

@@ -1,0 +1,171 @@
+"""The score test names what was planted, with its size and direction; refits go where linear estimates do not lead."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from twinbench.diagnosis.baseline import baseline_model
+from twinbench.diagnosis.fit import Fit, Task, fit
+from twinbench.diagnosis.hypotheses import FOLLOWED, Hypothesis, catalogue, hypotheses_for
+from twinbench.diagnosis.locate import DAMPING, missing_acceleration
+from twinbench.diagnosis.model import Knob
+from twinbench.diagnosis.refit import _starts, evaluate, refit
+from twinbench.diagnosis.screen import Part, _blind, _with, screen
+from twinbench.physics.terms.gravity_tilt import GravityTilt
+from twinbench.physics.terms.quadratic_drag import QuadraticDrag
+from twinbench.physics.terms.second_hand import SecondHand
+from twinbench.physics.terms.wind import Wind
+
+BANDWIDTH = 2.0
+PARTS = [Part("train", 0, 0, 20), Part("heldout", 0, 20, 30)]
+
+
+def at_truth(tiny, simulator):
+    """The baseline as it was simulated, free in stiffness and drag, not yet bent to stand in for what is missing."""
+    model = tiny.known(baseline_model([simulator.replica]), "body_stiffness", "drag_damping")
+    z = np.array([k.encode(tiny.truth[k.name]) for k in model.knobs])
+    return Fit(model, z, 0.0, np.eye(len(z)), ())
+
+
+def scored(tiny, term, values):
+    simulator = tiny.drawn(tiny.concealing(terms=[term], values=values, gravity=np.zeros(3), frames=30))
+    task, base = Task([simulator], [30], BANDWIDTH), at_truth(tiny, simulator)
+    predicted = task.predict(base.model, [base.z])[0][0]
+    push = missing_acceleration(simulator.replica, predicted, BANDWIDTH)
+    return screen(task, base, hypotheses_for(simulator, predicted[:20], push[:20]), PARTS)
+
+
+@pytest.fixture(scope="module")
+def tilted(tiny):
+    return scored(tiny, GravityTilt, {"tilt_x": 0.7, "tilt_y": -0.3})
+
+
+def test_a_planted_tilt_has_its_size_and_direction(tilted):
+    (one,) = [s for s in tilted if s.hypothesis.term is GravityTilt]
+    truth = np.array([0.7, -0.3, 0.0])
+    # linear in the amplitude but for the body's own bends; the observer's straight lines between frames cost some per cent
+    assert np.linalg.norm(one.amplitude - truth) < 0.1 * np.linalg.norm(truth)
+    assert (np.abs(one.amplitude - truth) < 3 * one.error).all()
+    assert one.gains["train"] > 0.8 and one.gains["heldout"] > 0.8
+    assert 0 < one.kept <= 1 and np.linalg.norm(one.direction) == pytest.approx(1)
+
+
+def test_nothing_explains_a_tilt_better_than_what_is_as_uniform(tilted):
+    # a fast wind is a uniform pull, and so is a tilt: the two may rival, everything else is behind both
+    best = {s.hypothesis.effect: 0.0 for s in tilted}
+    for s in tilted:
+        best[s.hypothesis.effect] = max(best[s.hypothesis.effect], s.gains["heldout"])
+    assert set(sorted(best, key=best.get)[-2:]) <= {"gravity_tilt", "wind", "hidden_tether"}
+    assert best["gravity_tilt"] == pytest.approx(max(best.values()), abs=0.02)
+
+
+def test_what_the_observer_pushes_with_is_the_missing_acceleration():
+    # a free particle whose model lacks a: the gap e obeys e'' = a - w^2 e - 2 z w e', and the push w^2 e + 2 z w e' is a - e''
+    fps, a, w, z = 300.0, np.array([0.7, -0.3, 0.0]), 2 * np.pi * BANDWIDTH, DAMPING
+    t = np.arange(450) / fps
+    v = w * np.sqrt(1 - z * z)
+    decay = np.exp(-z * w * t)
+    gap = (1 - decay * (np.cos(v * t) + z * w / v * np.sin(v * t))) / w**2  # from rest, per unit of a
+    acceleration = decay * (np.cos(v * t) - z * w / v * np.sin(v * t))
+    replica = SimpleNamespace(sightings=SimpleNamespace(position=(gap[:, None] * a)[:, None]), recording=SimpleNamespace(fps=fps))
+    push = missing_acceleration(replica, np.zeros((450, 1, 3)), BANDWIDTH)[:, 0]
+    # central differences and means over 5 frames are of second order: (w dt)^2 = 0.002
+    np.testing.assert_allclose(push[5:-5], ((1 - acceleration)[:, None] * a)[5:-5], atol=0.01)
+    np.testing.assert_allclose(push[-50:-5], np.tile(a, (45, 1)), atol=1e-3)
+
+
+def test_a_planted_wind_blows_the_way_it_was_planted(tiny):
+    scores = scored(tiny, Wind, {"wind_x": 0.7, "wind_speed": 4.0})
+    (one,) = [s for s in scores if s.hypothesis.term is Wind and s.hypothesis.values["wind_speed"] == 4.0]
+    along = one.amplitude / np.linalg.norm(one.amplitude)
+    assert along[0] > 0.99
+    assert np.linalg.norm(one.amplitude) == pytest.approx(0.7, rel=0.15)
+    assert one.gains["heldout"] > 0.9
+
+
+def test_an_adequate_twin_leaves_nothing_to_explain(tiny):
+    simulator = tiny.drawn(tiny.concealing(gravity=np.zeros(3), frames=30))
+    hypothesis = Hypothesis("gravity_tilt", GravityTilt, {}, tuple(Knob(f"tilt_{a}", 0.0, 0.7, -20.0, 20.0) for a in "xyz"))
+    (one,) = screen(Task([simulator], [30], 0.0), at_truth(tiny, simulator), [hypothesis], PARTS)
+    # a screening takes a fifth more substeps than the recording had, and the engine is of first order in them
+    assert np.linalg.norm(one.amplitude) < 0.01 * 0.7
+
+
+def test_amplitudes_come_from_the_first_part_alone(tiny):
+    first = tiny.concealing(terms=[GravityTilt], values={"tilt_x": 0.7}, gravity=np.zeros(3), frames=30)
+    later = first.points.copy()
+    later[20:] += 0.03
+    hypothesis = Hypothesis("gravity_tilt", GravityTilt, {}, tuple(Knob(f"tilt_{a}", 0.0, 0.7, -20.0, 20.0) for a in "xyz"))
+    found = []
+    for scenario in (first, replace(first, points=later)):
+        simulator = tiny.drawn(scenario)
+        found += screen(Task([simulator], [30], BANDWIDTH), at_truth(tiny, simulator), [hypothesis], PARTS)
+    assert (found[0].amplitude == found[1].amplitude).all() and found[0].gains["train"] == found[1].gains["train"]
+    assert found[0].gains["heldout"] != found[1].gains["heldout"]
+
+
+def test_an_effect_that_can_only_push_one_way_is_none_where_the_other_way_would_help(tiny):
+    # a body of less drag than its twin: quadratic drag >= 0 cannot take drag back
+    simulator = tiny.drawn(tiny.concealing(values={"drag_damping": 0.0}, gravity=np.zeros(3), frames=30))
+    model = tiny.known(baseline_model([simulator.replica]), "body_stiffness")
+    base = Fit(model, np.array([model.knobs[0].encode(tiny.truth["body_stiffness"])]), 0.0, np.eye(1), ())
+    (one,) = screen(Task([simulator], [30], BANDWIDTH), base, [drag()], PARTS)
+    assert one.amplitude.tolist() == [0.0]
+    assert one.gains == {"train": 0.0, "heldout": 0.0}
+
+
+def test_nodes_that_follow_the_recording_are_no_evidence(tiny):
+    simulator = tiny.drawn(tiny.concealing(gravity=np.zeros(3), frames=30))
+    effect = SecondHand.effect
+    reach, place = 0.02, simulator.replica.nodes[7]
+    values = {f"{effect.place}_{a}": float(c) for a, c in zip("xyz", place, strict=True)} | {effect.within: reach}
+    hand = Hypothesis(effect.name, SecondHand, values, tuple(Knob(a, 0.0, 1.0, 0.0, 1.0) for a in effect.amplitudes))
+    near = np.linalg.norm(simulator.replica.nodes - place, axis=1) < FOLLOWED * reach
+    assert 0 < near.sum() < len(near)
+    assert hand.follows(simulator.replica).tolist() == np.flatnonzero(near).tolist()
+    judged = _blind(hand, Task([simulator], [30], BANDWIDTH), PARTS[1]).reshape(10, -1, 3)  # residuals are frame by node by axis
+    assert ((judged == 0) == near[None, :, None]).all()
+    assert drag().follows(simulator.replica).size == 0  # a law of motion is judged by every node
+
+
+def drag():
+    return Hypothesis("quadratic_drag", QuadraticDrag, {}, (Knob("quadratic_drag", 0.0, 0.5, 0.0, 1000.0, step=0.25),))
+
+
+def test_far_starts_find_a_drag_that_linear_drag_hid(tiny):
+    # all resistance is quadratic, and a linear twin has taken it for drag: near that twin, a little of it gains almost nothing
+    scenario = tiny.concealing(
+        terms=[QuadraticDrag], values={"quadratic_drag": 30.0, "drag_damping": 0.0}, gravity=np.zeros(3), frames=30, way=0.15
+    )
+    simulator = tiny.drawn(scenario)
+    task, model = Task([simulator], [30], 0.0), tiny.known(baseline_model([simulator.replica]), "body_stiffness", "drag_damping")
+    base = fit(task, model, np.zeros(2), iterations=8)
+    assert base.values["drag_damping"] > 5  # 1/s, where there is none
+    (score,) = screen(task, base, [drag()], [Part("train", 0, 0, 30)])
+    extended = _with(base.model, {QuadraticDrag}).extended((), {}, drag().knobs)
+    near, far = _starts(base, extended, score)
+    assert near and far
+    plain, found = refit(task, base, [score], iterations=6, spacing=simulator.replica.spacing)
+    stuck = min((fit(task, extended, z, iterations=6) for z in near), key=lambda f: f.loss)
+    assert found.loss < 0.5 * stuck.loss and found.loss < 0.5 * plain.loss
+    assert found.values["quadratic_drag"] == pytest.approx(30.0, rel=0.6) and stuck.values["quadratic_drag"] < 6
+    assert found.values["drag_damping"] < 0.8 * base.values["drag_damping"]
+
+
+def test_errors_of_parts_leave_out_the_nodes_that_may_not_judge(tiny):
+    scenario = tiny.concealing(gravity=np.zeros(3), frames=30)
+    off = scenario.points.copy()
+    off[:, 7] += [0.03, 0, 0.04]  # one node of 20 was seen 5 cm away from where it was
+    simulator = tiny.drawn(scenario, seen=off)
+    task, base = Task([simulator], [30], 0.0), at_truth(tiny, simulator)
+    all_of_them = evaluate(task, base, None, PARTS)
+    without = evaluate(task, base, None, PARTS, leave=lambda replica: np.array([7]))
+    assert all_of_them.free["heldout"] == pytest.approx(0.05 / 20, rel=1e-6)
+    assert all_of_them.observed["heldout"] > 0 == pytest.approx(without.observed["heldout"], abs=1e-15)
+    assert without.free["heldout"] < 1e-9
+
+
+def test_the_catalogue_holds_every_term_with_an_effect_once():
+    names = [t.name for t in catalogue()]
+    assert names == sorted(set(names)) and {"gravity_tilt", "wind", "quadratic_drag", "hidden_tether"} <= set(names)
