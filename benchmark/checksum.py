@@ -48,13 +48,13 @@ def _feed(state, value) -> None:
 
 @cache
 def code(*rooms: str) -> str:
-    """Hexadecimal SHA-256 of every Python file in these rooms of the package."""
-    return _hash(sorted(file for room in rooms for file in (_PACKAGE / room).rglob("*.py")))
+    """Hexadecimal SHA-256 of every Python file in these rooms of the package, and of the numbers (JSON) that they read."""
+    return _hash(sorted(file for room in rooms for kind in ("*.py", "*.json") for file in (_PACKAGE / room).rglob(kind)))
 
 
 def method_code(method: Callable) -> str:
-    """Hexadecimal SHA-256 of what a fit depends on: ``physics/``, ``methods/``, and the method's own file where it is a plug-in."""
-    shared = code("physics", "methods")
+    """Hexadecimal SHA-256 of what a fit depends on: ``physics/``, ``methods/``, the method's own room, or a plug-in's own file."""
+    shared = code(*dict.fromkeys(("physics", "methods", getattr(method, "room", "methods"))))
     try:
         file = Path(inspect.getsourcefile(method) or "").resolve()
     except TypeError:

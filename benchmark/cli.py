@@ -32,7 +32,7 @@ class Run:
     scenarios: Names = ()
     """Score only these recordings. Default: all."""
     methods: Names = ("static", "rigid", "phystwin")
-    """Methods to compare (see twinbench list)."""
+    """Methods to compare (see twinbench list), with spaces or commas between them."""
     tasks: Names = ("resimulation", "prediction", "transfer")
     """Any of: resimulation, prediction, transfer."""
     seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0,)
@@ -376,6 +376,7 @@ def _methods(names: Iterable[str]) -> dict:
     from ..methods.registry import methods
 
     found = methods()
+    names = [name for entry in names for name in entry.split(",") if name]
     _known("method", names, found)
     return {name: found[name] for name in dict.fromkeys(names)}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from weakref import WeakValueDictionary
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..methods.base import Budget, Method, Trajectory, Twin
+from ..methods.registry import methods as known_methods
 from ..metrics.base import Metric, score
 from .cache import Cache, digest
 from .checksum import Checksums, code, method_code
@@ -98,7 +99,11 @@ class Runner:
 
     def _method(self, name: str) -> Method:
         with as_status():
-            return self.settings.methods[name]()
+            return self._found(name)()
+
+    def _found(self, name: str) -> Callable[[], Method]:
+        """The method of that name among those of this run; or, as one of them builds on it, among all."""
+        return self.settings.methods.get(name) or known_methods()[name]
 
     def _refuse(self, method: Method, scenarios: list[Scenario]) -> None:
         for scenario in scenarios:
@@ -124,11 +129,12 @@ class Runner:
     def _fit(self, method: Method, fit: Fit, key: str, report: Progress) -> None:
         observed = [scenario.observed() for scenario in self._held]
         settings = self.settings
+        options, spent = self._start(method, fit, report)
         reset_peak_memory()
         start = time.perf_counter()
         with as_status():
-            twin = method.fit(observed, budget=Budget(settings.preset), seed=fit.seed, device=settings.device, progress=report)
-        about = {"fit_seconds": time.perf_counter() - start, **peak_memory()}
+            twin = method.fit(observed, budget=Budget(settings.preset), seed=fit.seed, device=settings.device, progress=report, **options)
+        about = {"fit_seconds": spent + time.perf_counter() - start, **peak_memory(), "note": twin.note}
         about |= {"module": type(twin).__module__, "class": type(twin).__qualname__}
         try:
             self.cache.write_folder("fits", key, twin.save, about)
@@ -138,6 +144,14 @@ class Runner:
             with as_status():
                 raise
 
+    def _start(self, method: Method, fit: Fit, report: Progress) -> tuple[dict, float]:
+        """The option of ``fit`` that holds the twin that a method builds on, if it does, and the seconds that it took to fit that."""
+        if not method.builds_on:
+            return {}, 0.0
+        fit = replace(fit, method=method.builds_on)
+        twin, about = self._twin(self._method(fit.method), fit, self._fit_key(fit), report)
+        return {"start": twin}, about["fit_seconds"]
+
     def _evaluate(
         self, method: Method, twin: Twin, about: dict, evaluations: list[Evaluation], target: Scenario
     ) -> Iterator[tuple[Evaluation, dict]]:
@@ -146,7 +160,7 @@ class Runner:
             wanted = [evaluation for evaluation in evaluations if (evaluation.task == "transfer") == transfer]
             if not wanted:
                 continue
-            about = {name: about[name] for name in ("fit_seconds", "peak_memory_mib", "peak_device_memory_mib")}
+            about = {name: about[name] for name in ("fit_seconds", "peak_memory_mib", "peak_device_memory_mib", "note")}
             try:
                 if transfer:
                     self._refuse(method, [target])
@@ -187,7 +201,7 @@ class Runner:
 
     def _row(self, result: dict, about: dict) -> dict:
         """Everything of a row that the cache keeps, in the order of the columns."""
-        nothing = {"status": "", "reason": "", "diverged_frame": None}
+        nothing = {"status": "", "reason": "", "diverged_frame": None, "note": ""}
         for name in self.settings.metrics:
             nothing |= {name: float("nan"), f"{name}_unscorable": 0}
         costs = dict.fromkeys(("fit_seconds", "rollout_seconds", "peak_memory_mib", "peak_device_memory_mib"), float("nan"))
@@ -209,7 +223,7 @@ class Runner:
 
     def _fit_key(self, fit: Fit) -> str:
         sources = [self._checksums[name] for name in fit.sources]
-        method = method_code(self.settings.methods[fit.method])
+        method = method_code(self._found(fit.method))
         return digest(fit.method, method, sources, fit.seed, self.settings.preset, self.settings.device)
 
     def _row_key(self, fit_key: str, evaluation: Evaluation) -> str:

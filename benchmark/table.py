@@ -85,14 +85,17 @@ def _published(results: Results, collection: str, task: str) -> list[Line]:
 
 
 def notes(results: Results) -> list[str]:
-    """One sentence for every group of rows that have no score, and for every mean that leaves frames out."""
+    """One sentence for every twin of which its method says something, and for every group of rows that have no score."""
     groups: dict[tuple, list[dict]] = {}
+    twins = {(row["collection"], row["method"], row["sources"], row["seed"]): row.get("note") for row in results.rows}
     for row in results.rows:
         if row["status"] != "ok":
             frame = f" at frame {row['diverged_frame']}" if row["status"] == "diverged" else ""
             key = (row["collection"], row["task"], row["method"], row["status"])
             groups.setdefault(key, []).append({**row, "where": f"{row['scenario']}{frame}"})
-    said = []
+    said = [
+        f"{collection}: {method} on {sources}, seed {seed}: {note}" for (collection, method, sources, seed), note in twins.items() if note
+    ]
     for (collection, task, method, status), rows in groups.items():
         reasons = list(dict.fromkeys(row["reason"] for row in rows))
         where = ", ".join(row["where"] for row in rows[:3]) + (f" and {len(rows) - 3} more" if len(rows) > 3 else "")

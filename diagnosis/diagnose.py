@@ -34,11 +34,16 @@ SUDDEN = ("grip_slip", "tearing", "hidden_obstacle", "self_contact", "plasticity
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """result: what ``diagnosis.json`` holds; arrays: what the report draws, see ``write_report``; inquiry: all the evidence."""
+    """result: what ``diagnosis.json`` holds; arrays: what the report draws, see ``write_report``; inquiry: all the evidence.
+
+    chosen: the refit of what it names, or None.
+    """
+
 
     result: dict
     arrays: dict
     inquiry: Inquiry
+    chosen: Refit | None = None
 
     def write(self, out: str | Path) -> None:
         """Write ``diagnosis.json`` and ``report.html`` into the folder ``out``, each in one rename."""
@@ -118,7 +123,7 @@ def diagnose(
     arrays, curves = _arrays(inquiry, chosen)
     result["evidence"]["curves"] = curves
     result["seconds"] = round(time.time() - begun, 1)
-    return Diagnosis(result, arrays, inquiry)
+    return Diagnosis(result, arrays, inquiry, chosen)
 
 
 def _affordable(preset: Preset, scenario: Scenario) -> Preset:

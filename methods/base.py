@@ -57,7 +57,9 @@ class Budget:
 
 
 class Twin(ABC):
-    """A fitted, simulable object, placed in frame 0 of one recording."""
+    """A fitted, simulable object, placed in frame 0 of one recording. ``note`` is what a table says of it, if anything."""
+
+    note = ""
 
     @abstractmethod
     def rollout(self, controllers: np.ndarray) -> Trajectory:
@@ -78,9 +80,14 @@ class Twin(ABC):
 
 
 class Method(ABC):
-    """A way of making a twin from recordings. One file, one class, one name."""
+    """A way of making a twin from recordings. One file, one class, one name.
+
+    Where ``builds_on`` names another method, ``fit`` takes a further option ``start``: that method's twin of the same recordings with the
+    same budget, seed and device, or None where the caller has none, which ``fit`` then makes itself.
+    """
 
     name: str
+    builds_on: str | None = None
 
     @abstractmethod
     def fit(

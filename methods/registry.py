@@ -1,8 +1,8 @@
 """Finding methods by name, without importing what they are made of.
 
 A method is one file (or one folder with an ``__init__.py``) beside this one that holds ``METHODS``, a tuple of :class:`~.base.Method`
-classes. Names are read from the source, so a method may import its engine at the top of its file and a run whose rows
-are all remembered still starts at once.
+classes; or such a file in the room above, where it is made of what is there. Names are read from the source, so a method may import its
+engine at the top of its file and a run whose rows are all remembered still starts at once.
 """
 
 from __future__ import annotations
@@ -18,11 +18,17 @@ from .base import Method
 __all__ = ["Found", "declared", "get_method", "methods"]
 
 
-class Found:
-    """A method that is there: called without arguments it imports the method and makes one. Carries the method's docstring."""
+ROOMS = ("methods", "diagnosis")
 
-    def __init__(self, name: str, module: str, class_name: str, doc: str | None):
-        self.name, self._module, self._class = name, module, class_name
+
+class Found:
+    """A method that is there: called without arguments it imports the method and makes one. Carries the method's docstring.
+
+    ``room`` is the folder of the package that it was found in.
+    """
+
+    def __init__(self, name: str, room: str, module: str, class_name: str, doc: str | None):
+        self.name, self.room, self._module, self._class = name, room, module, class_name
         self.__doc__ = doc
 
     def __call__(self) -> Method:
@@ -33,17 +39,23 @@ class Found:
 
 
 def methods() -> dict[str, Callable[[], Method]]:
-    """Every method found in this folder, by name."""
-    here = Path(__file__).parent
+    """Every method found in ``ROOMS``, by name."""
     found: dict[str, Callable[[], Method]] = {}
-    for file in sorted([*here.glob("*.py"), *here.glob("*/__init__.py")]):
-        module = "." + (file.parent.name if file.name == "__init__.py" else file.stem)
+    for room, file in _files():
+        module = f"..{room}." + (file.parent.name if file.name == "__init__.py" else file.stem)
         for name, (class_name, doc) in declared(file.read_text(encoding="utf-8"), file.name).items():
-            method = Found(name, module, class_name, doc)
+            method = Found(name, room, module, class_name, doc)
             if name in found:
                 raise ValueError(f"two methods are called {name!r}: {found[name]!r} and {method!r}")
             found[name] = method
     return found
+
+
+def _files():
+    for room in ROOMS:
+        folder = Path(__file__).parents[1] / room
+        for file in sorted([*folder.glob("*.py"), *folder.glob("*/__init__.py")]):
+            yield room, file
 
 
 def declared(source: str, file: str = "") -> dict[str, tuple[str, str | None]]:
@@ -51,6 +63,8 @@ def declared(source: str, file: str = "") -> dict[str, tuple[str, str | None]]:
 
     Raises ValueError where a class listed there is not in the text, or has no ``name = "..."``.
     """
+    if "METHODS" not in source:
+        return {}
     body = ast.parse(source).body
     classes = {node.name: node for node in body if isinstance(node, ast.ClassDef)}
     listed = [node.value for node in body if isinstance(node, ast.Assign) and _assigns(node, "METHODS")]

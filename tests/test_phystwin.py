@@ -256,7 +256,7 @@ def behaviour(quirks, o, monkeypatch):
     with monkeypatch.context() as m:
         marches = []
         real = first_order.Batch.march
-        m.setattr(first_order.Batch, "march", lambda self, *a: marches.append(a[:2]) or real(self, *a))
+        m.setattr(first_order.Batch, "march", lambda self, *a, **k: marches.append(a[:2]) or real(self, *a, **k))
         learner.epoch()
         seen["windows"] = marches
     seen["checkpoints"] = chosen(config, monkeypatch)

@@ -35,9 +35,7 @@ class PhysTwin(Method):
         from .zero_order import search
 
         config = self.config(budget.preset, observed[0])
-        used = [observed[k] for k in np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))]
-        _same_body(used)
-        used = [_first_frames(o, config.frames) for o in used]
+        used = self.recordings(observed, config)
         values = {p.name: p.value for p in ranges(config.quirks, used[0].spacing)}
         if "zero" in self.stages:
             values = search(used, config, seed=seed, device=device, progress=_share(progress, self.stages, "zero"))
@@ -47,6 +45,13 @@ class PhysTwin(Method):
         if "first" in self.stages:
             body = refine(body, used, config, device=device, progress=_share(progress, self.stages, "first"))
         return PhysTwinTwin(body, Place.of(used[0]), config, device)
+
+    def recordings(self, observed, config: Config) -> list:
+        """What of ``observed`` is fitted: so many recordings and frames of each. Raises ValueError where they show different bodies."""
+        chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
+        used = [observed[k] for k in chosen]
+        _same_body(used)
+        return [_first_frames(o, config.frames) for o in used]
 
     def skip(self, scenario) -> str | None:
         from .config import ranges

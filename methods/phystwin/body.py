@@ -13,8 +13,9 @@ from ...physics.batch import Batch, first_bad
 from ...physics.stability import stable_substeps
 from ...physics.system import System
 from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
+from ...physics.terms.base import Term
 from ...physics.topology import controller_springs, object_springs
-from .config import Config
+from .config import CONTACT, Config
 
 __all__ = ["Body", "Motion", "Place", "build", "hand_springs", "regrip", "roll", "system", "time_step"]
 
@@ -57,7 +58,8 @@ class Body:
     """The object itself, apart from where it stands.
 
     springs (E, 2) between particles and stiffness (E,) [N]; ``pull`` [N] of the springs that join controllers; ``values`` are the searched
-    parameters by name. ``pulls`` (Ec, 2) and ``pull`` (Ec,) belong to the place where the body was fitted.
+    parameters by name. ``pulls`` (Ec, 2) and ``pull`` (Ec,) belong to the place where the body was fitted, as does ``home`` (M, 3) [m],
+    frame 0 there. ``added`` is physics beyond PhysTwin's; where it speaks of places on the body, it means those in ``home``.
     """
 
     springs: np.ndarray
@@ -65,6 +67,8 @@ class Body:
     pulls: np.ndarray
     pull: np.ndarray
     values: dict[str, float]
+    home: np.ndarray
+    added: tuple[Term, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ def build(values: dict[str, float], place: Place) -> Body:
     springs = object_springs(place.structure, radius=values["object_radius"], max_neighbours=int(values["object_max_neighbours"]))
     pulls = hand_springs(values, place)
     stiffness = values["global_spring_Y"]
-    return Body(springs, np.full(len(springs), stiffness), pulls, np.full(len(pulls), stiffness), dict(values))
+    return Body(springs, np.full(len(springs), stiffness), pulls, np.full(len(pulls), stiffness), dict(values), place.structure)
 
 
 def hand_springs(values: dict[str, float], place: Place) -> np.ndarray:
@@ -121,14 +125,32 @@ def system(body: Body, place: Place, config: Config) -> System:
         names = ("collision_dist", "collide_object_elas", "collide_object_fric")
         near = 1.0 if config.quirks.colliding_neighbours else 0.0
         terms.append(SelfCollision({**{n: v[n] for n in names}, "collide_neighbours": near}))
+    for term in body.added:
+        terms = _joined(terms, term, v, place)
     return System(
         positions=place.structure,
         springs=np.concatenate([body.springs, body.pulls]),
         stiffness=np.concatenate([body.stiffness, body.pull]),
         controllers=place.controllers,
         grips=place.grips,
+        home=body.home if body.added else None,
         terms=tuple(terms),
     )
+
+
+def _joined(terms: Sequence[Term], term: Term, values: dict[str, float], place: Place) -> list[Term]:
+    """``terms`` and another one, which stands in for one whose parameters it shares, and has their values.
+
+    Contact parameters are the body's ``values``; what is about the ground gets the place's, or stays out where there is none.
+    """
+    plane = {} if place.ground is None else dict(zip(("x", "y", "z", "offset"), place.ground, strict=True))
+    about_ground = term.name == "ground_pose" or any(n.endswith("_offset") for n in term.values)
+    if about_ground and not plane:
+        return list(terms)
+    known = {n: values[n] for n in CONTACT} | {n: v for t in terms for n, v in t.values.items()}
+    known |= {f"adhesion_{'offset' if n == 'offset' else f'normal_{n}'}": v for n, v in plane.items()}
+    term = term.with_values(**{n: known[n] for n in term.values if n in known})
+    return [*(t for t in terms if not t.values.keys() & term.values.keys()), term]
 
 
 def time_step(systems: Sequence[System], fps: float, config: Config) -> tuple[int, float]:
@@ -137,8 +159,17 @@ def time_step(systems: Sequence[System], fps: float, config: Config) -> tuple[in
         return PUBLISHED_SUBSTEPS, PUBLISHED_STEP
     substeps = config.substeps
     if substeps == "auto":
-        substeps = min(stable_substeps(systems, 1 / fps, safety=SAFETY), config.most_substeps)
+        substeps = min(stable_substeps([_made(s, fps) for s in systems], 1 / fps, safety=SAFETY), config.most_substeps)
     return substeps, 1 / fps / substeps
+
+
+def _made(one: System, fps: float) -> System:
+    """The system as its setup terms make it: what is stiffer or lighter for them needs shorter steps."""
+    if not any(t.stage == "setup" for t in one.terms):
+        return one
+    batch = Batch([one], fps=fps, substeps=1)
+    made, own = batch.prepare(batch.inputs), slice(one.particle_count)
+    return replace(one, stiffness=made.stiffness.double().numpy(), rest=made.rest.double().numpy(), masses=made.mass[own].double().numpy())
 
 
 def roll(

@@ -87,11 +87,13 @@ class _Learner:
         substeps, dt = time_step(systems, self.places[0].fps, self.config)
         batch = Batch(systems, fps=self.places[0].fps, substeps=substeps, dt=dt, device=self.device)
         window = 1 if self.config.quirks.frame_gradients else self.config.window
-        x, v, met = batch.inputs.x, batch.inputs.v, []
+        x, v, memory, met = batch.inputs.x, batch.inputs.v, batch.inputs.memory, []
         for frame in range(0, self.frames - 1, window):
             count = min(window, self.frames - 1 - frame)
-            inputs = replace(batch.inputs, x=x.detach(), v=v.detach(), stiffness=self._stiffness(), table=self._table(batch))
-            out, x, v = batch.march(frame, count, inputs)
+            now = dict(x=x.detach(), v=v.detach(), memory=memory)
+            inputs = replace(batch.inputs, **now, stiffness=self._stiffness(), table=self._table(batch))
+            out, x, v, carried = batch.march(frame, count, inputs, whole=True)
+            memory = carried.memory.detach()
             loss = self._loss(batch.split(out), frame + 1)
             if not torch.isfinite(loss):
                 return float("nan")

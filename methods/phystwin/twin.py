@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...datasets.scenario import Observed, Plane
+from ...physics import terms
 from ..base import Diverged, Trajectory, Twin
 from ..registration import align
 from .body import Body, Place, regrip, roll, system
@@ -88,11 +89,12 @@ class PhysTwinTwin(Twin):
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         b, p = self.body, self.place
-        arrays = dict(springs=b.springs, stiffness=b.stiffness, pulls=b.pulls, pull=b.pull)
+        arrays = dict(springs=b.springs, stiffness=b.stiffness, pulls=b.pulls, pull=b.pull, home=b.home)
         arrays |= dict(structure=p.structure, controllers=p.controllers, grips=p.grips, gravity=p.gravity)
         np.savez_compressed(folder / "twin.npz", **arrays)
         rest = dict(counts=p.counts, ground=p.ground, self_collision=p.self_collision, fps=p.fps)
-        state = dict(values=b.values, place=rest, config=asdict(self.config), device=self.device, transferred=self.transferred)
+        added = {type(t).__name__: t.values for t in b.added}
+        state = dict(values=b.values, added=added, place=rest, config=asdict(self.config), device=self.device, transferred=self.transferred)
         (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
 
     @classmethod
@@ -101,7 +103,8 @@ class PhysTwinTwin(Twin):
         state = json.loads((folder / "twin.json").read_text(encoding="utf-8"))
         with np.load(folder / "twin.npz", allow_pickle=False) as file:
             a = dict(file)
-        body = Body(values=state["values"], **{f.name: a[f.name] for f in fields(Body) if f.name != "values"})
+        added = tuple(getattr(terms, name)(values) for name, values in state["added"].items())
+        body = Body(values=state["values"], added=added, **{f.name: a[f.name] for f in fields(Body) if f.name in a})
         rest = state["place"] | {"counts": tuple(state["place"]["counts"])}
         if rest["ground"] is not None:
             rest["ground"] = tuple(rest["ground"])
