@@ -39,7 +39,6 @@ class Diagnosis:
     chosen: the refit of what it names, or None.
     """
 
-
     result: dict
     arrays: dict
     inquiry: Inquiry
