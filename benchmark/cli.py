@@ -283,9 +283,9 @@ class Diagnose:
 
         _known("preset", [self.preset], _PRESETS)
         _known("device", [self.device], _DEVICES)
-        folder = _folder(self.out)
         case = open_scenario(self.case)
         transfer, fitted_on = ([open_scenario(path) for path in paths] for paths in (self.transfer, self.fitted_on))
+        folder = _folder(self.out)
         say = (lambda said: print(f"{said} ...", file=sys.stderr)) if sys.stderr.isatty() else (lambda said: None)
         found = diagnose(case, transfer=transfer, fitted_on=fitted_on, preset=self.preset, device=self.device, progress=say)
         found.write(folder)

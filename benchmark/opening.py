@@ -110,7 +110,7 @@ def open_scenario(path: str) -> Scenario:
         try:
             collection = open_collection(start)
         except ValueError as error:
-            wrong = wrong or error
+            wrong = wrong or (ValueError(f"no recording at {path}: {error}") if name else error)
             continue
         known = list(collection.scenarios)
         if name in known or (not name and len(known) == 1):

@@ -120,13 +120,13 @@ def inquire(
     case has too few frames or nothing that moves.
     """
     preset = PRESETS[preset] if isinstance(preset, str) else preset
-    replicas = [build_replica(case, nodes=preset.nodes)]
-    replicas += [build_replica(r, nodes=preset.nodes, like=replicas[0]) for r in (*transfer, *fitted_on)]
-    simulators = [Simulator(r, device=device) for r in replicas]
-    frames = replicas[0].frames
+    frames = len(case.points)
     train = train_end if train_end and train_end < frames else int(UNHELD * frames)
     if train < 8:
         raise ValueError(f"{case.name}: a diagnosis needs at least 8 frames that may be fitted, got {train}")
+    replicas = [build_replica(case, nodes=preset.nodes, fitted=train)]
+    replicas += [build_replica(r, nodes=preset.nodes, like=replicas[0]) for r in (*transfer, *fitted_on)]
+    simulators = [Simulator(r, device=device) for r in replicas]
     parts = [Part("train", 0, 0, train), Part("heldout", 0, train, frames)]
     parts += [Part(f"transfer_{k}" if k else "transfer", k + 1, 0, replicas[k + 1].frames) for k in range(len(transfer))]
 
@@ -145,7 +145,8 @@ def inquire(
     push = [missing_acceleration(s.replica, x, BANDWIDTH) for s, x in zip(wide.simulators, watched, strict=True)]
 
     progress("scoring hypotheses")
-    hypotheses = hypotheses_for(simulators[0], watched[0][:train], push[0][:train])
+    fitted = watched[0][:train]  # its push anew: that of the whole recording is smoothed over frames that are held out
+    hypotheses = hypotheses_for(simulators[0], fitted, missing_acceleration(replicas[0], fitted, BANDWIDTH))
     scores = screen(Task(simulators[:1], [frames], BANDWIDTH), base, [*hypotheses, _learned()], parts[:2])
     learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
     inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, learned, [], None, watched, push)

@@ -82,12 +82,13 @@ def spread_out(points: np.ndarray, count: int, first: np.ndarray | None = None) 
     return np.array(chosen)
 
 
-def build_replica(recording: Observed, *, nodes: int, like: Replica | None = None) -> Replica:
+def build_replica(recording: Observed, *, nodes: int, like: Replica | None = None, fitted: int | None = None) -> Replica:
     """Draw a body of at most ``nodes`` nodes on a recording.
 
     ``like`` is a replica of another recording of the object: nodes are then taken until they stand as close as its, so that both bodies
     have particles of the same size and parameters mean the same, and places are told in its frame 0. Markers that are held (grips) are
-    nodes of their own.
+    nodes of their own. What the drawing owes to motion (strands that part, what a hand carries, the start velocity, noise) is read from the
+    first ``fitted`` frames alone, so that held-out frames have no say in it; all of them unless given.
 
     A rope (``ropes.rope_chains``) gets chains and hinges along them, whose natural shape is that of frame 0, and no more nodes than its
     thickness leaves in a row; where its markers are few enough, they are the nodes. Other bodies get the hinges of sheets.
@@ -96,27 +97,31 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
 
     structure = recording.structure
     held = np.unique(recording.grips[recording.grips >= 0])
-    marked = _marked_rope(recording, nodes, held)
+    marked = _marked_rope(recording, nodes, held, fitted)
     chosen = marked[0] if marked else _in_a_row(structure, spread_out(structure, nodes, held), len(held))
     if like is not None and not marked:
         chosen = chosen[: max(len(held), min(len(chosen), len(like.nodes)))]
     if marked:
-        positions, sightings = structure[chosen].copy(), sight_markers(recording.points[:, chosen], recording.visible[:, chosen])
+        positions, sightings = (
+            structure[chosen].copy(),
+            sight_markers(recording.points[:, chosen], recording.visible[:, chosen], fitted=fitted),
+        )
     else:
-        positions, sightings = sight_nodes(recording.points, recording.visible, structure[chosen])
+        positions, sightings = sight_nodes(recording.points, recording.visible, structure[chosen], fitted=fitted)
     positions[: len(held)] = structure[held]  # a driven marker is where it is
+    early = replace(sightings, position=sightings.position[:fitted])
     own = like.spacing if like else _spacing(positions)
     body = object_springs(positions, radius=REACH * own, max_neighbours=MOST)
     body = _joined(positions, body)
     home = _home(recording, positions, like)
-    chains = _alike(marked[1] if marked else rope_chains(apart(positions, sightings.position)), home, like)
+    chains = _alike(marked[1] if marked else rope_chains(apart(positions, early.position)), home, like)
     if chains:
         body = _along(body, chains)
         if not marked:
             _centre(positions, structure, np.isfinite(sightings.position[0, :, 0]))
     hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, body)
     hands = np.flatnonzero(recording.grips < 0)
-    ties = hand_ties(recording, positions, sightings, own, hands)
+    ties = hand_ties(recording, positions, early, own, hands)
     grips = np.full(len(recording.grips), -1)
     for c, point in enumerate(recording.grips):
         if point >= 0:
@@ -134,7 +139,7 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
         hinges=hinges,
         natural=natural_curvature(positions, hinges, chains) if chains else None,
         chains=chains,
-        velocities=_start_velocity(sightings, positions, recording.fps),
+        velocities=_start_velocity(early, positions, recording.fps),
         seen=sightings.position,
         home=home,
         terms=(),
@@ -186,6 +191,7 @@ def _strays(hand, seen, start):
     """(n,) how far nodes at ``start`` (n, 3), ``seen`` (T, n, 3), stay behind a hand (T, C, 3) while it first moves, over its way."""
     way = np.linalg.norm(hand - hand[0], axis=-1).mean(1)
     moving = np.flatnonzero((way > SET_OFF[0]) & (np.arange(len(way)) < (np.argmax(way > SET_OFF[1]) or len(way))))
+    moving = moving[moving < len(seen)]
     shares = []
     for k in moving[:12]:
         rotation, shift = rigid_transform(hand[0], hand[k])
@@ -197,13 +203,13 @@ def _strays(hand, seen, start):
     return np.where(np.isfinite(stray), stray, 0.0)
 
 
-def _marked_rope(recording, nodes, held):
+def _marked_rope(recording, nodes, held, fitted):
     """(tracked points, held ones first; chains of them) where they are at most ``nodes`` markers along a rope that is held; else None."""
     count = recording.counts[0]
     if not len(held) or count > nodes:
         return None
     tracks = np.where(recording.visible[..., None], recording.points, np.nan)
-    chains = marked_chains(recording.points[0], recording.structure[count:], tracks)
+    chains = marked_chains(recording.points[0], recording.structure[count:], tracks[:fitted])
     if not chains:
         return None
     order = np.concatenate([held, np.setdiff1d(np.arange(count), held)])

@@ -45,23 +45,25 @@ def noise_of(positions: np.ndarray) -> float:
     return float(np.quantile(scale, 0.25)) if scale.size else 0.0
 
 
-def sight_markers(points, visible) -> Sightings:
+def sight_markers(points, visible, *, fitted: int | None = None) -> Sightings:
     """What was seen of nodes that are markers themselves: ``points`` (T, n, 3) [m] where ``visible`` (T, n), as they are.
 
-    Markers along a rope share no rigid motion that could tell a wrong one.
+    The noise is that of the first ``fitted`` frames, all unless given. Markers along a rope share no rigid motion that could tell a
+    wrong one.
     """
     position = np.where(np.asarray(visible, bool)[..., None], np.asarray(points, float), np.nan)
     count = np.isfinite(position[..., 0]).astype(int)
     nodes = position.shape[1]
-    return Sightings(position, count, noise_of(position), np.full(nodes, np.nan), np.zeros(nodes, bool))
+    return Sightings(position, count, noise_of(position[:fitted]), np.full(nodes, np.nan), np.zeros(nodes, bool))
 
 
-def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
+def sight_nodes(points, visible, nodes, *, fitted: int | None = None) -> tuple[np.ndarray, Sightings]:
     """Pool tracks ``points`` (T, N, 3) [m], meaningless where not ``visible`` (T, N), at ``nodes`` (n, 3) of frame 0.
 
     A track counts for its nearest node. Each node gets the rigid motion that best carries its neighbourhood from frame 0 (Kabsch), and its
     position is where its own tracks say it is, their offsets turned along. Returns the nodes moved to the middle of their tracks, and
     what was seen of them; a node without tracks stays and is never seen.
+    What counts as noise and as an outlier is told by the first ``fitted`` frames, all unless given: later ones do not change earlier ones.
     """
     from scipy.spatial import cKDTree
 
@@ -79,7 +81,7 @@ def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
     k = min(NEIGHBOURS, len(usable))
     near = np.atleast_2d(cKDTree(home).query(home, k=k)[1].reshape(len(usable), -1))
     residual = _shared_motion_residual(track, home, near)
-    scale = max(1e-6, float(np.nanmedian(residual)))
+    scale = max(1e-6, float(np.nanmedian(residual[:fitted])))
     with np.errstate(invalid="ignore"):
         bad = residual > OUTLIER * 1.4826 * scale + 1e-3
     bad &= np.isfinite(residual)
@@ -95,7 +97,7 @@ def sight_nodes(points, visible, nodes) -> tuple[np.ndarray, Sightings]:
         )
     track = np.where(bad[..., None] if k > 3 else False, np.nan, track)
     position, held = _pool(track, home, near, owner, nodes)
-    noise = noise_of(position)
+    noise = noise_of(position[:fitted])
     slide = slide_of(np.where(visible[:, usable, None], points[:, usable], np.nan), near)
     return nodes, Sightings(position, held, noise, misfit, wrong, slide)
 

@@ -40,7 +40,7 @@ def sheet(columns, rows):
 
 
 def hands(frames, *, columns, way=0.06, rate=1.0):
-    """(frames, 2, 3) m: two hand points above the corners that set off smoothly and swing to the side and towards us, ``rate`` times a second."""
+    """(frames, 2, 3) m: two hand points above the corners that set off smoothly and swing to the side and towards us, at ``rate`` [Hz]."""
     t = 2 * np.pi * rate * np.arange(frames) / FPS
     swing = way * np.stack([1 - np.cos(t), 0.7 * (1 - np.cos(0.7 * t)), 0.3 * (1 - np.cos(1.3 * t))], 1)
     start = np.array([[0, 0, 0.01], [(columns - 1) * SPACING, 0, 0.01]])
