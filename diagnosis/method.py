@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from ..datasets.scenario import Observed, Scenario, Split
+from ..methods.base import Diverged
 from ..methods.phystwin import PhysTwin
-from ..methods.phystwin.body import Body, Place, regrip, roll, system
-from ..methods.phystwin.config import SEARCHED, Config
-from ..methods.phystwin.first_order import refine
+from ..methods.phystwin.body import Body, Place, regrip
 from ..methods.phystwin.losses import FitLoss
 from ..methods.phystwin.twin import PhysTwinTwin
 from ..methods.phystwin.zero_order import open_loop_costs
@@ -22,13 +20,11 @@ from ..physics.terms.base import Term
 from .diagnose import Diagnosis, diagnose
 from .inquiry import UNHELD
 
-__all__ = ["METHODS", "DiagnosedTwin", "PhysTwinDiagnosed", "extended"]
+__all__ = ["METHODS", "DiagnosedTwin", "PhysTwinDiagnosed", "gain", "named"]
 
 FEWEST = 12  # frames: of fewer, too little is left to fit and to hold out
 STAGES = ("axial", "strand", "body", "velocity", "contact", "move", "setup")  # hinges the fine twin has none of; an observer must see
-SHARES = (1.0, 0.5)  # of the amplitude that the coarse replica found, tried on the fine twin
-SHORT = 0.5  # of the first-order stage's epochs, for the twin with and without what is added
-GAIN = 0.02  # of its loss on the train frames that the extended twin must be rid of, beside the plain one with as many epochs
+LEAST = 0.02  # of the plain twin's loss on the train frames, after as much work, that the extended one must be rid of
 
 
 @dataclass(frozen=True)
@@ -56,9 +52,12 @@ class PhysTwinDiagnosed(PhysTwin):
         config = self.config(budget.preset, observed[0])
         used = self.recordings(observed, config)
         say = progress or (lambda stage, share: None)
+
+        def third(k):
+            return lambda stage, share: say(stage, (k + share) / 3)
+
         if start is None:
-            half = progress and (lambda stage, share: progress(stage, share / 2))
-            start = super().fit(observed, budget=budget, seed=seed, device=device, progress=half)
+            start = self.fitted(used, config, seed=seed, device=device, progress=third(0))
 
         def twin(note, body=start.body):
             return DiagnosedTwin(body, start.place, start.config, start.device, start.transferred, note)
@@ -70,71 +69,50 @@ class PhysTwinDiagnosed(PhysTwin):
             transfer=[_whole(o) for o in used[1:]],
             preset=budget.preset,
             device=device,
-            progress=lambda said: say(said.split(", ")[0], 0.5),
+            progress=lambda said: say(said.split(", ")[0], 1 / 3),
         )
-        said = _said(found)
-        candidates = extended(start.body, found)
-        if not candidates:
+        said, term = _said(found), named(found, start.body)
+        if term is None:
             return twin(f"nothing added: {said}")
-        say("refitting with what was named", 0.9)
-        body, gain = _refitted(start.body, candidates, used, config, device)
-        if body is None:
-            return twin(f"nothing added: {said}, but the fine twin with it fits the train frames no better")
-        return twin(f"with {_shown(body.added[0])}: {said}; {gain:.0%} less loss on the train frames", body)
+        extended = self.fitted(used, config, seed=seed, device=device, progress=third(2), added=(term,))
+        gained = gain(extended, start, used)
+        if gained < LEAST:
+            return twin(f"nothing added: {said}, but with it the twin fits the train frames no better")
+        return twin(f"with {_shown(extended.body.added[0])}: {said}; {gained:.0%} less loss on the train frames", extended.body)
 
 
 METHODS = (PhysTwinDiagnosed,)
 
 
-def extended(body: Body, found: Diagnosis) -> list[Body]:
-    """``body`` with the term that a diagnosis named; none where it named nothing, or nothing that a body of springs alone can have.
+def named(found: Diagnosis, body: Body) -> Term | None:
+    """The term that a diagnosis named, for ``body``; None where it named nothing, or nothing that a body of springs alone can have.
 
     Parameters are those of the refitted replica: shares, strains, accelerations, and what else does not depend on how many particles there
-    are; forces go with the mass that a spring to the hand carries. Each share in ``SHARES`` of its amplitudes is tried with the body's
-    stiffness and damping as they are, and changed by the factors by which the replica's changed once it had the term.
+    are; forces go with the mass that a spring to the hand carries.
     """
     if found.chosen is None or found.chosen.score.hypothesis.term.stage not in STAGES:
-        return []
-    kind = found.chosen.score.hypothesis.term
-    before, after = found.inquiry.base.fit.values, found.chosen.found.fit.values
-    values = {p.name: after[p.name] for p in kind.parameters if p.name in after}
+        return None
+    kind, replica = found.chosen.score.hypothesis.term, found.inquiry.case
+    values = {p.name: v for p in kind.parameters if (v := found.chosen.found.fit.values.get(p.name)) is not None}
     if "slip_force" in values:
-        replica = found.inquiry.case
         values["slip_force"] *= len(body.home) / len(replica.nodes) * replica.links.sum() / max(1, len(body.pulls))
     bounds = {p.name: (p.low, p.high) for p in kind.parameters}
-    moved = {n: after[n] / before[n] for n in before if n in after and before[n] > 0}
-    bodies = []
-    for share, carried in product(SHARES, (moved, {})):
-        amplitudes = {n: share * values[n] for n in kind.effect.amplitudes}
-        term = kind({n: float(np.clip(v, *bounds[n])) for n, v in (values | amplitudes).items()})
-        bodies.append(replace(_changed(body, carried), added=(*body.added, term)))
-    return bodies
+    return kind({n: float(np.clip(v, *bounds[n])) for n, v in values.items()})
 
 
-def _changed(body: Body, factors: dict[str, float]) -> Body:
-    """The body with stiffness and damping changed by ``factors``, named as the replica's."""
-    stiffness, pull = (factors.get(n, 1.0) for n in ("body_stiffness", "grip_stiffness"))
-    bounds = {p.name: (p.low, p.high) for p in SEARCHED}
-    damping = {n: float(np.clip(body.values[n] * factors.get(n, 1.0), *bounds[n])) for n in ("dashpot_damping", "drag_damping")}
-    return replace(body, stiffness=body.stiffness * stiffness, pull=body.pull * pull, values=body.values | damping)
-
-
-def _refitted(plain: Body, candidates: Sequence[Body], used: Sequence[Observed], config: Config, device: str) -> tuple[Body | None, float]:
-    """The best candidate after a few epochs and its gain over the plain body after as many; None where it gains nothing or blows up."""
-    places = [Place.of(o) for o in used]
-    losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=device) for o in used]
-    short = replace(config, epochs=int(np.ceil(SHORT * config.epochs)))
-
-    def costs(bodies):
-        return open_loop_costs([[b, *(regrip(b, place) for place in places[1:])] for b in bodies], places, losses, short, device)
-
-    best = candidates[int(np.argmin(costs(candidates)))]
-    body, again = (refine(b, used, short, device=device) for b in (best, plain))
-    gain = 1 - costs([body])[0] / costs([again])[0]
-    if gain < GAIN:
-        return None, gain
-    whole = roll([system(body, places[0], config)], places[0].fps, len(places[0].controllers), config, device)[0]
-    return (None if whole.diverged >= 0 else body), gain
+def gain(extended: PhysTwinTwin, plain: PhysTwinTwin, used: Sequence[Observed]) -> float:
+    """Share of the plain twin's loss on the train frames that the extended one is rid of; -inf where it blows up later in the recording."""
+    places, config = [Place.of(o) for o in used], plain.config
+    losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=plain.device) for o in used]
+    after, before = (
+        open_loop_costs([[t.body, *(regrip(t.body, p) for p in places[1:])]], places, losses, config, plain.device)[0]
+        for t in (extended, plain)
+    )
+    try:
+        extended.rollout(places[0].controllers)
+    except Diverged:
+        return -np.inf
+    return 1 - after / before
 
 
 def _whole(observed: Observed) -> Scenario:

@@ -28,20 +28,23 @@ class PhysTwin(Method):
     }
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
+        config = self.config(budget.preset, observed[0])
+        return self.fitted(self.recordings(observed, config), config, seed=seed, device=device, progress=progress)
+
+    def fitted(self, used, config: Config, *, seed, device, progress=None, added=()):
+        """The twin of ``used``, all of them, with ``added`` terms in its physics."""
         from .body import Place, build
         from .config import ranges
         from .first_order import refine
         from .twin import PhysTwinTwin
         from .zero_order import search
 
-        config = self.config(budget.preset, observed[0])
-        used = self.recordings(observed, config)
         values = {p.name: p.value for p in ranges(config.quirks, used[0].spacing)}
         if "zero" in self.stages:
-            values = search(used, config, seed=seed, device=device, progress=_share(progress, self.stages, "zero"))
+            values = search(used, config, seed=seed, device=device, progress=_share(progress, self.stages, "zero"), added=added)
         if config.quirks.truncated_dampings:
             values = {k: float(int(v)) if k.endswith("_damping") else v for k, v in values.items()}
-        body = build(values, Place.of(used[0]))
+        body = build(values, Place.of(used[0]), added)
         if "first" in self.stages:
             body = refine(body, used, config, device=device, progress=_share(progress, self.stages, "first"))
         return PhysTwinTwin(body, Place.of(used[0]), config, device)

@@ -15,7 +15,7 @@ from ...physics.system import System
 from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
 from ...physics.terms.base import Term
 from ...physics.topology import controller_springs, object_springs
-from .config import CONTACT, Config
+from .config import ADDED_SHARE, CONTACT, Config
 
 __all__ = ["Body", "Motion", "Place", "build", "hand_springs", "regrip", "roll", "system", "time_step"]
 
@@ -80,12 +80,19 @@ class Motion:
     diverged: int
 
 
-def build(values: dict[str, float], place: Place) -> Body:
-    """A homogeneous body: topology and stiffness from the searched parameters."""
+def build(values: dict[str, float], place: Place, added: Sequence[Term] = ()) -> Body:
+    """A homogeneous body: topology and stiffness from the searched parameters, and what share of its amplitude ``added`` physics has."""
     springs = object_springs(place.structure, radius=values["object_radius"], max_neighbours=int(values["object_max_neighbours"]))
     pulls = hand_springs(values, place)
-    stiffness = values["global_spring_Y"]
-    return Body(springs, np.full(len(springs), stiffness), pulls, np.full(len(pulls), stiffness), dict(values), place.structure)
+    stiffness, pull = (np.full(len(s), values["global_spring_Y"]) for s in (springs, pulls))
+    scaled = tuple(_scaled(term, values.get(ADDED_SHARE.name, 1.0)) for term in added)
+    return Body(springs, stiffness, pulls, pull, dict(values), place.structure, scaled)
+
+
+def _scaled(term: Term, share: float) -> Term:
+    """The term with ``share`` times its effect's amplitudes, within their bounds."""
+    bounds = {p.name: (p.low, p.high) for p in term.parameters}
+    return term.with_values(**{n: float(np.clip(share * term.values[n], *bounds[n])) for n in term.effect.amplitudes})
 
 
 def hand_springs(values: dict[str, float], place: Place) -> np.ndarray:

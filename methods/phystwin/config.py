@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from ...physics.parameters import Parameter
 from ...physics.terms import Dashpot, Ground, LinearDrag, SelfCollision
 
-__all__ = ["AS_PUBLISHED", "CONTACT", "CORRECTED", "SEARCHED", "Config", "Quirks", "ranges"]
+__all__ = ["ADDED_SHARE", "AS_PUBLISHED", "CONTACT", "CORRECTED", "SEARCHED", "Config", "Quirks", "ranges"]
 
 SPACING = 0.005  # m: the published voxel thinning, for which the published radii were chosen
 
@@ -61,6 +61,9 @@ SEARCHED = (
     *Dashpot.parameters,
 )
 """The twelve parameters of the zero-order stage with the published ranges and starts, in the published order."""
+
+ADDED_SHARE = Parameter("added_share", 1.0, 0.0, 2.0, "-", "amplitude of added physics over what was given")
+"""Searched beside the twelve where physics beyond PhysTwin's is added."""
 
 LENGTHS = ("object_radius", "controller_radius", "collision_dist")
 

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from ...datasets.scenario import Observed
+from ...physics.terms.base import Term
 from .body import Body, Motion, Place, build, regrip, roll, system
-from .config import Config, ranges
+from .config import ADDED_SHARE, Config, ranges
 from .losses import FitLoss
 
 __all__ = ["open_loop_costs", "search"]
@@ -22,16 +23,22 @@ WORST = 1e9  # m^2, cost of a candidate that blows up: above any that does not (
 
 
 def search(
-    observed: Sequence[Observed], config: Config, *, seed: int, device: str, progress: Callable[[str, float], None] | None = None
+    observed: Sequence[Observed],
+    config: Config,
+    *,
+    seed: int,
+    device: str,
+    progress: Callable[[str, float], None] | None = None,
+    added: Sequence[Term] = (),
 ) -> dict[str, float]:
-    """The best parameters ever evaluated, the published start included."""
+    """The best parameters ever evaluated, the published start included; with ``added`` physics, how much of it is searched as well."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # cma's remark that it could not draw
         import cma
 
     places = [Place.of(o) for o in observed]
     losses = [FitLoss(o, frame_one_counts=config.quirks.frame_one_counts, device=device) for o in observed]
-    table = ranges(config.quirks, observed[0].spacing)
+    table = ranges(config.quirks, observed[0].spacing) + ((ADDED_SHARE,) if added else ())
     moving = [p for p in table if _matters(p.name, places) or config.quirks.inert_parameters]
     base = {p.name: p.value for p in table}
 
@@ -43,11 +50,11 @@ def search(
     if config.population:
         options["popsize"] = config.population
     strategy = cma.CMAEvolutionStrategy(start, SIGMA, options)
-    best = (costs([base], places, losses, config, device)[0], base)
+    best = (costs([base], places, losses, config, device, added)[0], base)
     for generation in range(config.iterations):
         units = strategy.ask()
         candidates = [decode(u) for u in units]
-        found = costs(candidates, places, losses, config, device)
+        found = costs(candidates, places, losses, config, device, added)
         strategy.tell(units, found)
         best = min([best, *zip(found, candidates, strict=True)], key=lambda pair: pair[0])
         if progress:
@@ -55,9 +62,9 @@ def search(
     return best[1]
 
 
-def costs(candidates, places, losses, config, device) -> list[float]:
+def costs(candidates, places, losses, config, device, added=()) -> list[float]:
     """Mean loss over recordings of homogeneous bodies with each candidate's parameters."""
-    first = [build(values, places[0]) for values in candidates]
+    first = [build(values, places[0], added) for values in candidates]
     bodies = [[body, *(regrip(body, place) for place in places[1:])] for body in first]
     return open_loop_costs(bodies, places, losses, config, device)
 
