@@ -22,6 +22,13 @@ def test_the_package_list_is_the_folders():
     assert set(packages()) == {"twinbench", *("twinbench." + ".".join(folder.parts) for folder in folders)}
 
 
+def test_files_that_code_reads_are_installed_with_it():
+    given = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    installed = {file for package, kinds in given.items() for kind in kinds for file in ROOT.joinpath(*package.split(".")[1:]).glob(kind)}
+    there = {file for room in FLOORS for file in (ROOT / room).rglob("*") if file.is_file() and "__pycache__" not in file.parts}
+    assert {file for file in there if file.suffix in (".css", ".html", ".js", ".json")} <= installed
+
+
 def test_rooms_have_no_init_and_folders_below_them_do():
     # `import datasets` in a clone must still find the package of that name that many users have installed.
     for folder in {file.parent for file in MODULES}:
