@@ -24,7 +24,12 @@ def test_the_package_list_is_the_folders():
 
 def test_files_that_code_reads_are_installed_with_it():
     given = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
-    installed = {file for package, kinds in given.items() for kind in kinds for file in ROOT.joinpath(*package.split(".")[1:]).glob(kind)}
+    installed = {
+        file
+        for package, kinds in given.items()
+        for kind in kinds
+        for file in ROOT.joinpath(*package.split(".")[1:]).glob(kind.replace("/**", "/**/*"))
+    }
     there = {file for room in FLOORS for file in (ROOT / room).rglob("*") if file.is_file() and "__pycache__" not in file.parts}
     assert {file for file in there if file.suffix in (".css", ".html", ".js", ".json")} <= installed
 
