@@ -22,7 +22,7 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
-FIRM = 0.25  # of a nuisance's spread that is left once other recordings have fixed it
+FIRM = 0.02  # of a nuisance's spread that is left once other recordings have fixed it: what the case adds is what is asked
 
 
 @dataclass(frozen=True)

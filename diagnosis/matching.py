@@ -12,6 +12,7 @@ __all__ = ["material_coordinates"]
 
 ROUNDS = 30
 KEPT = 0.8  # share of the nearest pairs that a round believes in
+CLEARLY = 0.7  # of the misfit so far: a body that looks the same from several sides stays as it lies
 COLOR = 0.3  # distance in RGB that counts as much as the body's own size
 
 
@@ -31,7 +32,7 @@ def material_coordinates(structure, reference, *, colors=None, reference_colors=
             gap = np.linalg.norm(colors - reference_colors[index], axis=1)
             if np.isfinite(gap).any():
                 cost += float(np.nanmean(gap)) / COLOR
-        if cost < best_cost * 0.98:
+        if cost < best_cost * CLEARLY:
             best, best_cost = moved, cost
     return best
 
@@ -39,6 +40,7 @@ def material_coordinates(structure, reference, *, colors=None, reference_colors=
 def _starts(structure, reference):
     a, b = structure.mean(0), reference.mean(0)
     axes_a, axes_b = (np.linalg.svd(p - p.mean(0), full_matrices=False)[2] for p in (structure, reference))
+    yield structure
     yield structure - a + b
     for swap in ((0, 1, 2), (1, 0, 2)):
         for signs in product((1, -1), repeat=3):
