@@ -128,9 +128,9 @@ def score(results: dict[str, dict], labels: dict[str, dict]) -> dict:
 
 
 def _rank(result, effect):
-    """Place of ``effect`` among the effects by probability, from 1."""
+    """Place of ``effect`` among the effects by probability, from 1; infinite where it has none."""
     names = [n for n in result["probabilities"] if n not in (NONE, OTHER)]
-    return names.index(effect) + 1 if effect in names else len(names) + 1
+    return names.index(effect) + 1 if effect in names else np.inf
 
 
 def _distance(result, label):
@@ -243,9 +243,10 @@ def by_effect(results: dict[str, dict], labels: dict[str, dict]) -> str:
         groups.setdefault(truth(labels[name]), []).append(results[name])
     lines = ["| truth | cases | right | refused | said instead |", "|---|---|---|---|---|"]
     for true, group in sorted(groups.items()):
-        said = Counter(r["effect"] or r["verdict"] for r in group)
+        said = Counter(r.get("effect") or r["verdict"] for r in group)
         right = said.pop(true, 0)
-        refused = sum(said.pop(k, 0) for k in ("cannot_tell", *((NONE,) if true != NONE else ()), *((OTHER,) if true != OTHER else ())))
+        refusals = {"cannot_tell"} if true == NONE else {"cannot_tell", NONE, OTHER} - {true}  # of nothing, "unknown" is an alarm
+        refused = sum(said.pop(k, 0) for k in refusals)
         lines.append(f"| {true} | {len(group)} | {right} | {refused} | {', '.join(f'{k} {n}' for k, n in said.most_common())} |")
     return "\n".join(lines)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from .model import Simulator
 from .replica import Replica
+from .sightings import where_unseen
 
 __all__ = ["Cluster", "clusters", "missing_acceleration", "peaks"]
 
@@ -46,12 +47,12 @@ def peaks(replica: Replica, push: np.ndarray, count: int) -> np.ndarray:
     """Indices of up to ``count`` nodes where the mean square push, pooled with the nearest neighbours, is largest; well apart."""
     from scipy.spatial import cKDTree
 
-    with np.errstate(invalid="ignore"):
+    with where_unseen():
         energy = np.nanmean((push**2).sum(-1), axis=0)
     energy = np.where(np.isfinite(energy), energy, np.nan)
     tree = cKDTree(replica.nodes)
     near = tree.query(replica.nodes, k=min(7, len(replica.nodes)))[1]
-    with np.errstate(invalid="ignore"):
+    with where_unseen():
         pooled = np.nanmean(energy[near].reshape(len(energy), -1), axis=1)
     pooled = np.where(np.isfinite(pooled), pooled, -np.inf)
     chosen = []
@@ -94,7 +95,7 @@ def clusters(
     gap = seen - predicted
     near = cKDTree(replica.nodes).query(replica.nodes, k=min(5, len(replica.nodes)))[1].reshape(len(replica.nodes), -1)
     blocks = [slice(a, min(a + window, len(gap))) for a in range(0, len(gap), window)]
-    with np.errstate(all="ignore"):
+    with where_unseen():
         mean = np.stack([np.nanmean(gap[b], axis=0) for b in blocks])  # (W, n, 3)
     mean = np.where(np.isfinite(mean), mean, 0.0)
     rng = np.random.default_rng(seed)

@@ -13,7 +13,7 @@ from ..physics.system import System
 from ..physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .matching import material_coordinates
 from .ropes import apart, marked_chains, rope_chains
-from .sightings import Sightings, sight_markers, sight_nodes
+from .sightings import Sightings, sight_markers, sight_nodes, where_unseen
 
 __all__ = ["Replica", "build_replica", "spread_out"]
 
@@ -198,7 +198,7 @@ def _strays(hand, seen, start):
         shares.append(np.linalg.norm(seen[k] - start @ rotation.T - shift, axis=1) / way[k])
     if not shares:
         return np.zeros(len(start))
-    with np.errstate(all="ignore"):
+    with where_unseen():
         stray = np.nanmedian(shares, axis=0)
     return np.where(np.isfinite(stray), stray, 0.0)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +36,14 @@ class Sightings:
     slide: float = 0.0
 
 
+@contextmanager
+def where_unseen() -> Iterator[None]:
+    """Means and medians over what was nowhere seen are NaN, without a warning: the caller asks ``isfinite``."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
+
+
 def noise_of(positions: np.ndarray) -> float:
     """White noise [m] of one coordinate from third differences of (T, n, 3) tracks: a smooth motion leaves only noise in them.
 
@@ -40,7 +51,8 @@ def noise_of(positions: np.ndarray) -> float:
     deviations is taken, so that fast motion and contacts do not count as noise.
     """
     third = np.diff(positions, 3, axis=0)
-    scale = np.nanmedian(np.abs(third), axis=0) / 0.6745 / np.sqrt(20) if len(third) else np.zeros((0, 3))
+    with where_unseen():
+        scale = np.nanmedian(np.abs(third), axis=0) / 0.6745 / np.sqrt(20) if len(third) else np.zeros((0, 3))
     scale = scale[np.isfinite(scale)]
     return float(np.quantile(scale, 0.25)) if scale.size else 0.0
 
@@ -81,7 +93,8 @@ def sight_nodes(points, visible, nodes, *, fitted: int | None = None) -> tuple[n
     k = min(NEIGHBOURS, len(usable))
     near = np.atleast_2d(cKDTree(home).query(home, k=k)[1].reshape(len(usable), -1))
     residual = _shared_motion_residual(track, home, near)
-    scale = max(1e-6, float(np.nanmedian(residual[:fitted])))
+    with where_unseen():
+        scale = max(1e-6, float(np.nanmedian(residual[:fitted])))
     with np.errstate(invalid="ignore"):
         bad = residual > OUTLIER * 1.4826 * scale + 1e-3
     bad &= np.isfinite(residual)
@@ -91,7 +104,7 @@ def sight_nodes(points, visible, nodes, *, fitted: int | None = None) -> tuple[n
     wrong = np.zeros(count, bool)
     wrong[usable] = share > LOST
     misfit = np.full(count, np.nan)
-    with np.errstate(all="ignore"):
+    with where_unseen():
         misfit[usable] = np.where(
             np.isfinite(residual).any(0), np.nanmedian(np.where(np.isfinite(residual), residual, np.nan), axis=0), np.nan
         )
@@ -119,7 +132,7 @@ def slide_of(track, near) -> float:
         return np.quantile(np.nanmedian(change, axis=1), 0.95) if len(change) else np.nan
 
     quarter = len(track) // 4
-    with np.errstate(all="ignore"):
+    with where_unseen():
         quarters = range(2, quarter + 1), range(len(track) - quarter, len(track))
         early, late = (float(np.nanmedian([spread(f) for f in frames])) for frames in quarters)
     return float(np.log(late / early)) if early > 0 and late > 0 else 0.0

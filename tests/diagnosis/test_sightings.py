@@ -60,11 +60,13 @@ def test_too_short_a_recording_says_nothing_of_sliding(frames):
     assert slide_of(turning(points)[:frames], near) == 0.0
 
 
-def test_unseen_tracks_leave_slide_finite():
+@pytest.mark.filterwarnings("error")
+def test_unseen_tracks_leave_slide_finite_and_make_no_noise():
     points, near = patch()
     track = turning(points)
     track[10:] = np.nan
     assert slide_of(track, near) == 0.0
+    assert noise_of(np.full((FRAMES, 3, 3), np.nan)) == 0.0
 
 
 @pytest.mark.parametrize("sigma", [1e-4, 2e-3])

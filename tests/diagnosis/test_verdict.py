@@ -1,0 +1,137 @@
+"""The decision: probabilities, the rules that make a verdict of them, and the calibration that ships."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from twinbench.diagnosis.diagnose import NAMES
+from twinbench.diagnosis.hypotheses import catalogue
+from twinbench.diagnosis.verdict import (
+    CONTEXT,
+    FEATURES,
+    MEASUREMENT,
+    NONE,
+    OTHER,
+    Calibration,
+    Reading,
+    calibration,
+    decide,
+    left,
+    scores,
+    verdict_of,
+)
+
+GAINS = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "seen")
+RULES = Calibration({}, {}, {}, named=0.5, both=0.7, sure=0.4)
+SHIPPED = calibration()
+
+numbers = st.floats(-0.5, 4.0)
+effects = st.sampled_from([t for t in catalogue() if t.effect.name not in (NONE, OTHER)])
+reading = st.builds(
+    lambda term, values: Reading(term.effect.name, term.name, dict(zip(FEATURES, values, strict=True))),
+    effects,
+    st.lists(numbers, min_size=len(FEATURES), max_size=len(FEATURES)),
+)
+several = st.lists(reading, min_size=1, max_size=6, unique_by=lambda r: r.term)
+around = st.fixed_dictionaries({name: numbers for name in CONTEXT})
+
+
+@pytest.mark.parametrize(
+    ("chances", "verdict"),
+    [
+        # a name that is likely enough, by its kind
+        ({"wind": 0.5, NONE: 0.3, "bending": 0.1, OTHER: 0.1}, ("missing", "wind", ())),
+        ({"camera_pose": 0.6, NONE: 0.3, OTHER: 0.1}, ("measurement", "camera_pose", ())),
+        # two that are likely together, the better of them likelier than nothing
+        ({"wind": 0.4, "gravity_tilt": 0.35, NONE: 0.2, OTHER: 0.05}, ("ambiguous", "wind", ("gravity_tilt",))),
+        ({NONE: 0.38, "wind": 0.36, "gravity_tilt": 0.26, OTHER: 0.0}, ("cannot_tell", None, ("wind", "gravity_tilt"))),
+        # nothing, where that is likely enough
+        ({NONE: 0.4, "wind": 0.3, OTHER: 0.2, "bending": 0.1}, ("adequate", None, ())),
+        # something without a name: likelier than nothing, or nothing is out of the question
+        ({OTHER: 0.39, "wind": 0.3, NONE: 0.31}, ("unknown", None, ("wind",))),
+        ({"wind": 0.32, "bending": 0.3, NONE: 0.2, OTHER: 0.18}, ("unknown", None, ("wind", "bending"))),
+        # none of these
+        ({NONE: 0.35, "wind": 0.3, OTHER: 0.2, "bending": 0.15}, ("cannot_tell", None, ("wind", "bending"))),
+        ({NONE: 0.35, OTHER: 0.3}, ("cannot_tell", None, ())),
+    ],
+)
+def test_the_rules_of_the_verdict(chances, verdict):
+    assert verdict_of(chances, RULES) == verdict
+
+
+def test_probabilities_are_a_softmax_of_weighted_features():
+    # p_i = exp(s_i) / sum exp(s), s = bias + weights . features, written out
+    c = Calibration({"train": 2.0, "extra": -0.5}, {"wind": 0.3, NONE: 1.0, OTHER: -1.0}, {NONE: {"floor": -0.7}, OTHER: {"learned": 0.4}})
+    found = [Reading("wind", "wind", {"train": 0.9, "extra": 3.0}), Reading("track_drift", "", {"train": 0.0})]
+    s = np.array([0.3 + 1.8 - 1.5, 0.0, 1.0 - 0.7 * 2.0, -1.0 + 0.4 * 0.5])
+    names, values = scores(found, {"floor": 2.0, "learned": 0.5}, c)
+    assert names == ["wind", "track_drift", NONE, OTHER]
+    np.testing.assert_allclose(values, s)
+    p = np.exp(s) / np.exp(s).sum()
+    assert decide(found, {"floor": 2.0, "learned": 0.5}, c).probabilities == pytest.approx(dict(zip(names, p, strict=True)))
+
+
+def test_readings_of_one_effect_add_up_and_the_better_one_is_chosen():
+    found = [Reading("hidden_tether", term, {"train": g}) for term, g in (("hidden_tether", 0.1), ("second_hand", 2.0))]
+    c = Calibration({"train": 1.0}, {NONE: -9.0, OTHER: -9.0}, {}, named=0.9)
+    one = decide(found, {}, c)
+    assert (one.verdict, one.effect) == ("missing", "hidden_tether") and one.chosen is found[1]
+    assert one.probabilities["hidden_tether"] == pytest.approx(1 / (1 + 2 * np.exp(-9) / (np.exp(0.1) + np.exp(2.0))))
+
+
+@given(several, around)
+def test_probabilities_sum_to_one_and_fall(found, context):
+    one = decide(found, context, SHIPPED)
+    p = list(one.probabilities.values())
+    assert sum(p) == pytest.approx(1) and p == sorted(p, reverse=True) and min(p) >= 0
+    assert set(one.probabilities) == {NONE, OTHER, *(r.effect for r in found)}
+    named = one.verdict in ("missing", "measurement", "ambiguous")
+    assert (one.effect is not None) == named == (one.chosen is not None)
+    assert not named or one.chosen.effect == one.effect
+    assert (one.verdict == "measurement") <= (one.effect in MEASUREMENT)
+    assert one.effect not in one.alternatives and len(one.alternatives) <= 2
+
+
+@given(several, around, st.data())
+def test_a_larger_gain_never_speaks_against_its_effect(found, context, data):
+    k = data.draw(st.integers(0, len(found) - 1))
+    name = data.draw(st.sampled_from(GAINS[:-1]))
+    more = data.draw(st.floats(0, 3))
+    better = Reading(found[k].effect, found[k].term, {**found[k].features, name: found[k].features[name] + more})
+    before = decide(found, context, SHIPPED).probabilities[better.effect]
+    after = decide([*found[:k], better, *found[k + 1 :]], context, SHIPPED).probabilities[better.effect]
+    assert after >= before - 1e-12
+
+
+@given(st.floats(-10, 1), st.floats(-10, 1))
+def test_the_share_left_is_monotone_and_bounded(a, b):
+    low, high = sorted((left(a), left(b)))
+    assert (left(min(a, b)), left(max(a, b))) == (low, high) and low >= -0.5 and high <= 4
+
+
+def test_the_share_left():
+    assert left(0.0) == 0 and left(0.5) == pytest.approx(np.log(2))
+    assert left(float("nan")) == left(-np.inf) == -0.5  # what blew up
+
+
+def test_the_shipped_calibration_names_only_what_there_is():
+    assert set(SHIPPED.weights) <= {*FEATURES, "seen"}
+    assert set(SHIPPED.biases) <= {*(t.name for t in catalogue()), "track_drift", NONE, OTHER} >= {NONE, OTHER}
+    assert set(SHIPPED.context) == {NONE, OTHER}
+    assert all(set(of) <= set(CONTEXT) for of in SHIPPED.context.values())
+    assert all(SHIPPED.weights[name] >= 0 for name in GAINS if name in SHIPPED.weights) and SHIPPED.weights["extra"] <= 0
+    assert 0 < SHIPPED.named <= SHIPPED.both <= 1 and 0 < SHIPPED.sure <= 1 and SHIPPED.source
+    every = [*SHIPPED.weights.values(), *SHIPPED.biases.values(), *(v for of in SHIPPED.context.values() for v in of.values())]
+    assert np.isfinite(every).all()
+
+
+def test_a_calibration_is_what_its_file_says():
+    assert Calibration(**json.loads(SHIPPED.to_json())) == SHIPPED
+    with pytest.raises(TypeError, match="nonsense"):
+        Calibration(**json.loads(SHIPPED.to_json()), nonsense=1)
+
+
+def test_faults_of_the_measurement_are_effects():
+    assert set(MEASUREMENT) < set(NAMES)
