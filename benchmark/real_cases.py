@@ -87,7 +87,10 @@ def _hands(scenario: Scenario) -> dict[str, np.ndarray]:
     order = np.argsort(scenario.grips)
     breaks = np.flatnonzero(np.diff(scenario.grips[order]) > 1) + 1
     groups = np.split(order, breaks)
-    return {"first" if k == 0 else "last" if k == len(groups) - 1 else f"{k + 1}.": g for k, g in enumerate(groups)} if len(groups) > 1 else {}
+    if len(groups) < 2:
+        return {}
+    names = ["first", *(f"{k}." for k in range(2, len(groups))), "last"]
+    return dict(zip(names, groups, strict=True))
 
 
 def _without(scenario: Scenario, controllers: np.ndarray) -> Scenario:
