@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("benchmark", "datasets", "methods", "metrics", "physics")
+ROOMS = ("benchmark", "datasets", "diagnosis", "methods", "metrics", "physics")
 TEXT = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
 FILES = {match[1]: block for block in BLOCKS if (match := re.match(r"# (\S+\.py)\n", block))}
@@ -114,6 +114,15 @@ def test_the_snippets_run(python, copy):
     assert len(SNIPPETS) == 2
     for block in SNIPPETS:
         python("-c", block)
+
+
+def test_the_term_is_a_hypothesis_of_the_diagnosis(python):
+    script = "from twinbench.diagnosis.hypotheses import catalogue as c; print([t.effect.name for t in c() if t.name == 'cubic_drag'])"
+    assert python("-c", script).strip() == "['plate_drag']"
+    script = (
+        "from twinbench.diagnosis.diagnose import NAMES; from twinbench.diagnosis.page.words import EFFECTS; assert {*NAMES} <= {*EFFECTS}"
+    )
+    python("-c", script)
 
 
 def test_the_tests_of_an_example_can_fail(python, copy):
