@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from twinbench.diagnosis.diagnose import NAMES
 from twinbench.diagnosis.hypotheses import catalogue
@@ -81,6 +81,7 @@ def test_readings_of_one_effect_add_up_and_the_better_one_is_chosen():
     assert one.probabilities["hidden_tether"] == pytest.approx(1 / (1 + 2 * np.exp(-9) / (np.exp(0.1) + np.exp(2.0))))
 
 
+@settings(deadline=None)
 @given(several, around)
 def test_probabilities_sum_to_one_and_fall(found, context):
     one = decide(found, context, SHIPPED)
@@ -94,6 +95,7 @@ def test_probabilities_sum_to_one_and_fall(found, context):
     assert one.effect not in one.alternatives and len(one.alternatives) <= 2
 
 
+@settings(deadline=None)
 @given(several, around, st.data())
 def test_a_larger_gain_never_speaks_against_its_effect(found, context, data):
     k = data.draw(st.integers(0, len(found) - 1))
@@ -105,6 +107,7 @@ def test_a_larger_gain_never_speaks_against_its_effect(found, context, data):
     assert after >= before - 1e-12
 
 
+@settings(deadline=None)
 @given(st.floats(-10, 1), st.floats(-10, 1))
 def test_the_share_left_is_monotone_and_bounded(a, b):
     low, high = sorted((left(a), left(b)))
