@@ -236,7 +236,7 @@ class Real:
     """Ask twins of real recordings which physics they lack, and score them with it on recordings that nobody fitted."""
 
     study: Annotated[Positional[str], arg(metavar="STUDY")]
-    """cables: motion capture of ropes held at both ends (DEFORM), extended term by term. hand, weight, gravity: something is kept from the twin."""
+    """cables: ropes held at both ends (DEFORM), extended term by term. hand, weight, gravity: something is kept from the twin."""
     data: Annotated[Path, arg(metavar="PATH")] = Path("data_set")
     """Folder of the recordings: for cables data_set, for the others what holds data_set, dataset and softbeam."""
     seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0, 1, 2)
