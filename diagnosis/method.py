@@ -73,7 +73,7 @@ class PhysTwinDiagnosed(PhysTwin):
         )
         said, term = _said(found), named(found, start.body)
         if term is None:
-            return twin(f"nothing added: {said}")
+            return twin(f"nothing added: {said}{', which no term of the fine twin stands for' if found.result['effect'] else ''}")
         extended = self.fitted(used, config, seed=seed, device=device, progress=third(2), added=(term,))
         gained = gain(extended, start, used)
         if gained < LEAST:
