@@ -131,7 +131,7 @@ def _affordable(preset: Preset, scenario: Scenario) -> Preset:
     return replace(preset, nodes=int(max(60, preset.nodes * min(1.0, (LONG / frames) ** 0.5))))
 
 
-LONG = 150  # frames: longer recordings get coarser replicas
+LONG = 90  # frames: longer recordings get coarser replicas
 
 
 def _transfers(inquiry):
