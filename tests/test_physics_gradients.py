@@ -51,7 +51,12 @@ VALUES = dict(
     controller_velocity=0.7,
     ground_offset=0.003,
     ground_normal_x=0.1,
+    far_share=0.7,
+    far_reach=0.025,
+    brace_share=0.7,
 )
+READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
+REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035
 
 
 def found_terms():
@@ -64,7 +69,8 @@ def found_terms():
 def kinds_with(term):
     """The usual terms and ``term``, in place of its rival at a stage that takes one."""
     rivals = {t for t in AIR if t.stage == term.stage and t.stage in ("move", "contact")}
-    return AIR if term in AIR else (*(t for t in AIR if t not in rivals), term)
+    readers = [READ_BY[term.name]] if term.name in READ_BY else []
+    return AIR if term in AIR else (*(t for t in AIR if t not in rivals), *readers, term)
 
 
 def make(kinds, *, grip=True, count=PARTICLES, seed=0):
@@ -79,7 +85,8 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
     path[:, 1] += [0.0, 0.01, -0.01]
     ties = controller_springs(path[0, 1:], points, radius=0.05, max_neighbours=6)
     ties[:, 0] = count + 1
-    springs = np.concatenate([object_springs(points, radius=0.035, max_neighbours=10), ties])
+    reach = max([REACH.get(k.name, 0.035) for k in kinds])
+    springs = np.concatenate([object_springs(points, radius=reach, max_neighbours=10), ties])
     nodes = np.concatenate([points, path[0]])
     # a rope through the body, held at its end, and hinges that follow no rope
     rope = np.append(np.arange(count - ROPE, count), 0)
