@@ -89,6 +89,8 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
     if not np.isfinite(residual).all():
         return Fit(model, z, np.inf, np.full((len(z),) * 2, np.nan), (np.inf,))
     history = [float(residual @ residual)]
+    if not len(z):
+        return Fit(model, z, history[0], np.zeros((0, 0)), tuple(history))
     normal = np.eye(len(z))
     damping = 1.0
     slopes, exact = None, True

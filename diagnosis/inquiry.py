@@ -13,7 +13,7 @@ from .baseline import baseline_model, first_fit
 from .fit import Fit, Task
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
-from .model import Knob, Simulator
+from .model import Knob, Model, Simulator
 from .refit import Verdictable, evaluate, refit
 from .replica import Replica, build_replica
 from .screen import Part, Score, screen
@@ -22,7 +22,6 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
-FIRM = 0.02  # of a nuisance's spread that is left once other recordings have fixed it: what the case adds is what is asked
 
 
 @dataclass(frozen=True)
@@ -195,6 +194,6 @@ def _size(unit):
 
 
 def _firm(found: Fit) -> Fit:
-    """The fit with its knobs centred where it ended and little room: other recordings have said what they are."""
-    knobs = tuple(replace(k, start=k.decode(z), spread=FIRM * k.spread) for k, z in zip(found.model.knobs, found.z, strict=True))
-    return replace(found, model=replace(found.model, knobs=knobs), z=np.zeros(len(found.z)))
+    """The fit with all its numbers fixed: other recordings have said what they are, and what the case adds is what is asked."""
+    none = np.zeros(0)
+    return Fit(Model(found.model.terms, found.values, ()), none, found.loss, np.zeros((0, 0)), found.history)
