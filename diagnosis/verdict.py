@@ -14,6 +14,11 @@ from .inquiry import Inquiry, Refit
 __all__ = ["MEASUREMENT", "Calibration", "Decision", "Reading", "calibration", "decide", "readings"]
 
 MEASUREMENT = ("controller_delay", "camera_pose", "track_drift", "grip_points")
+MATERIAL = (
+    *("strain_stiffening", "compression_softening", "anisotropy", "bending", "bending_damping", "torsion", "viscoelastic"),
+    *("creep", "internal_friction", "rest_shape", "pressure"),
+)
+SETTLED = -3.0  # log odds of an effect of the material where a twin of the same body was adequate without it: a prior, not fitted
 SLID = 0.5  # log of the growth of neighbour distances that deformation alone brings
 NONE, OTHER = "adequate", "unknown"
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
@@ -87,6 +92,9 @@ def readings(inquiry: Inquiry) -> list[Reading]:
     found = []
     for refit in inquiry.refits:
         found.append(Reading(refit.score.hypothesis.effect, refit.score.hypothesis.term.name, _features(refit, transfer)))
+    if len(inquiry.simulators) > 1 + inquiry.transfers:  # the twin comes from other recordings of the body
+        for reading in found:
+            reading.features["settled"] = float(reading.effect in MATERIAL)
     best = {r.term: r.features for r in found}
     for reading in found:
         rivals = [_worth(f) for term, f in best.items() if term != reading.term]
@@ -134,6 +142,7 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     for reading in found:
         names.append(reading.effect)
         value = c.biases.get(reading.key, 0.0) + sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
+        value += SETTLED * reading.features.get("settled", 0.0)
         values.append(value)
     for name in (NONE, OTHER):
         names.append(name)
