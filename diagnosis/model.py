@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil, exp, log
 
@@ -64,10 +64,16 @@ class Model:
         """All parameter values at ``z`` (K,)."""
         return {**self.values, **{k.name: k.decode(float(u)) for k, u in zip(self.knobs, z, strict=True)}}
 
-    def extended(self, terms: Sequence[type[Term]], values: Mapping[str, float], knobs: Sequence[Knob]) -> Model:
-        """The model with further terms (those it has already are left), values and knobs."""
-        new = tuple(t for t in terms if t not in self.terms)
-        return Model(self.terms + new, {**self.values, **values}, self.knobs + tuple(knobs))
+    def extended(self, terms: Iterable[type[Term]], values: Mapping[str, float], knobs: Sequence[Knob]) -> Model:
+        """The model with further terms in the order of their names, values and knobs; terms that it has already are left.
+
+        A term that moves particles or makes contacts takes the place of the one there is.
+        """
+        terms = set(terms)
+        alone = {t.stage for t in terms} & {"move", "contact"}
+        kept = tuple(t for t in self.terms if t.stage not in alone)
+        new = sorted(terms - set(kept), key=lambda t: t.name)
+        return Model((*kept, *new), {**self.values, **values}, (*self.knobs, *knobs))
 
 
 @dataclass

@@ -11,7 +11,7 @@ from .fit import Fit, Task, fit
 from .hypotheses import Hypothesis
 from .model import Model
 from .replica import Replica
-from .screen import Part, Score, _with
+from .screen import Part, Score
 
 __all__ = ["Verdictable", "evaluate", "refit"]
 
@@ -50,8 +50,7 @@ def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, sp
     fits = [fit(task, base.model, base.z, iterations=iterations)]
     for score in scores:
         h = score.hypothesis
-        model = _with(base.model, {h.term})
-        model = Model(model.terms, {**model.values, **h.values}, base.model.knobs + h.knobs + h.free_knobs(spacing))
+        model = base.model.extended({h.term}, h.values, h.knobs + h.free_knobs(spacing))
         near, far = _starts(base, model, score)
         tried = [fit(task, model, _best(task, model, starts), iterations=TRIAL) for starts in (near, far) if starts]
         first = min(tried, key=lambda f: f.loss)

@@ -11,7 +11,6 @@ import numpy as np
 
 from .fit import INDEPENDENT, Fit, Task, _huber
 from .hypotheses import STAGES_IN_ONE, Hypothesis
-from .model import Model
 
 __all__ = ["Part", "Score", "screen"]
 
@@ -56,7 +55,7 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
     nuisance = None
     substeps = [ceil(MARGIN * n) for n in task.substeps(base.model, base.z)]
     for members in groups.values():
-        model = _with(base.model, {h.term for h in members})
+        model = base.model.extended({h.term for h in members}, {}, ())
         off = {k.name: max(0.0, k.low) for h in members for k in h.knobs}
         rows = [{**row, **off} for row in ([base.values] if nuisance is not None else [base.values, *_knob_rows(base)])]
         steps = []
@@ -81,12 +80,6 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
             mine = [c[:, own] for c in columns]
             scores.append(_score(h, *(_without(part, blind) for part in (origin, nuisance, mine)), parts))
     return scores
-
-
-def _with(model: Model, terms) -> Model:
-    """The model with more terms; one that moves particles or makes contacts takes the place of the one there is."""
-    kept = [t for t in model.terms if not any(t.stage == new.stage and t.stage in ("move", "contact") for new in terms)]
-    return Model((*kept, *sorted(terms - set(kept), key=lambda t: t.name)), model.values, model.knobs)
 
 
 def _knob_rows(base):

@@ -9,12 +9,14 @@ from twinbench.diagnosis.baseline import baseline_model
 from twinbench.diagnosis.fit import Fit, Task, fit
 from twinbench.diagnosis.hypotheses import FOLLOWED, Hypothesis, catalogue, hypotheses_for
 from twinbench.diagnosis.locate import DAMPING, missing_acceleration
-from twinbench.diagnosis.model import Knob
+from twinbench.diagnosis.model import Knob, Model
 from twinbench.diagnosis.refit import _starts, evaluate, refit
-from twinbench.diagnosis.screen import Part, _blind, _with, screen
+from twinbench.diagnosis.screen import Part, _blind, screen
+from twinbench.physics.terms import Ground, Springs
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 from twinbench.physics.terms.quadratic_drag import QuadraticDrag
 from twinbench.physics.terms.second_hand import SecondHand
+from twinbench.physics.terms.stribeck_ground import StribeckGround
 from twinbench.physics.terms.wind import Wind
 
 BANDWIDTH = 2.0
@@ -143,7 +145,7 @@ def test_far_starts_find_a_drag_that_linear_drag_hid(tiny):
     base = fit(task, model, np.zeros(2), iterations=8)
     assert base.values["drag_damping"] > 5  # 1/s, where there is none
     (score,) = screen(task, base, [drag()], [Part("train", 0, 0, 30)])
-    extended = _with(base.model, {QuadraticDrag}).extended((), {}, drag().knobs)
+    extended = base.model.extended({QuadraticDrag}, {}, drag().knobs)
     near, far = _starts(base, extended, score)
     assert near and far
     plain, found = refit(task, base, [score], iterations=6, spacing=simulator.replica.spacing)
@@ -164,6 +166,15 @@ def test_errors_of_parts_leave_out_the_nodes_that_may_not_judge(tiny):
     assert all_of_them.free["heldout"] == pytest.approx(0.05 / 20, rel=1e-6)
     assert all_of_them.observed["heldout"] > 0 == pytest.approx(without.observed["heldout"], abs=1e-15)
     assert without.free["heldout"] < 1e-9
+
+
+def test_a_model_has_one_ground_and_new_terms_come_by_name():
+    model = Model((Springs, Ground), {"collide_elas": 0.05}, (Knob("collide_fric", 0.4, 0.3, 0.0, 2.0),))
+    found = model.extended([Wind, StribeckGround, Springs, GravityTilt], {"wind_speed": 4.0}, drag().knobs)
+    assert found.terms == (Springs, GravityTilt, StribeckGround, Wind)
+    assert found.values == {"collide_elas": 0.05, "wind_speed": 4.0}
+    assert found.names == ("collide_fric", "quadratic_drag")
+    assert model.extended({Springs, Ground}, {}, ()) == model
 
 
 def test_the_catalogue_holds_every_term_with_an_effect_once():
