@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets.scenario import Scenario
-from .fit import mean_error
+from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .locate import clusters
 from .report import write_report
@@ -166,15 +166,14 @@ def _errors(inquiry, chosen: Refit | None):
 
 def _last_residual(inquiry):
     """Mean error [m] on held-out frames of the baseline shifted, node by node, by its last error on a training frame."""
-    simulator = inquiry.simulators[0]
-    part = inquiry.parts[1]
+    replica, part = inquiry.case, inquiry.parts[1]
     free = inquiry.free(inquiry.base)[0]
-    residual = simulator.replica.sightings.position[: part.first] - free[: part.first]
+    residual = replica.sightings.position[: part.first] - free[: part.first]
     last = np.zeros(residual.shape[1:])
     for frame in residual:  # the last frame in which each node was seen
         seen = np.isfinite(frame[:, 0])
         last[seen] = frame[seen]
-    return mean_error(simulator, free + last, part.first, part.last)
+    return mean_error(replica, free + last, part.first, part.last)
 
 
 def _where(inquiry, chosen):
@@ -426,11 +425,8 @@ def _arrays(inquiry, chosen):
 
 
 def _curve(replica, predicted):
-    gap = np.linalg.norm(replica.sightings.position - predicted, axis=-1)
-    held = replica.system.grips
-    gap[:, held[held >= 0]] = np.nan
     with np.errstate(all="ignore"):
-        return [None if not np.isfinite(g).any() else float(np.nanmean(g)) for g in gap]
+        return [None if not np.isfinite(g).any() else float(np.nanmean(g)) for g in gaps(replica, predicted)]
 
 
 def _plain(value):

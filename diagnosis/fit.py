@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .model import Knob, Model, Simulator
+from .replica import Replica
 
-__all__ = ["Fit", "Task", "fit", "mean_error", "weights_of"]
+__all__ = ["Fit", "Task", "fit", "gaps", "mean_error", "weights_of"]
 
 INDEPENDENT = 100.0  # data that a recording is worth: tracks move together, so far fewer than its coordinates
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # Levenberg-Marquardt dampings tried side by side
@@ -58,9 +59,7 @@ class Task:
 def weights_of(simulator: Simulator, frames: int) -> np.ndarray:
     """(F, n) weights whose squares sum to 1 over a recording: nodes count alike wherever they were seen."""
     seen = np.isfinite(simulator.replica.sightings.position[:frames, :, 0])
-    held = simulator.replica.system.grips
-    seen = seen.copy()
-    seen[:, held[held >= 0]] = False  # what is driven is not predicted
+    seen[:, simulator.replica.driven] = False
     seen[0] = False
     return seen / np.sqrt(max(1, seen.sum()))
 
@@ -180,11 +179,14 @@ def _bounded(knobs: Sequence[Knob], z, step):
     return np.array(out)
 
 
-def mean_error(simulator: Simulator, predicted: np.ndarray, first: int, last: int) -> float:
+def gaps(replica: Replica, predicted: np.ndarray) -> np.ndarray:
+    """(F, n) m: how far each node was seen from where ``predicted`` (F, n, 3) has it; NaN where it was not seen or is driven."""
+    found = np.linalg.norm(replica.sightings.position - predicted, axis=-1)
+    found[:, replica.driven] = np.nan
+    return found
+
+
+def mean_error(replica: Replica, predicted: np.ndarray, first: int, last: int) -> float:
     """Mean distance [m] between seen and simulated nodes in frames [first, last); NaN where nothing was seen."""
-    seen = simulator.replica.sightings.position[first:last]
-    gap = np.linalg.norm(seen - predicted[first:last], axis=-1)
-    held = simulator.replica.system.grips
-    gap[:, held[held >= 0]] = np.nan
-    seen_any = np.isfinite(seen[..., 0]).any()
-    return float(np.nanmean(gap)) if seen_any and np.isfinite(gap).any() else float("nan")
+    found = gaps(replica, predicted)[first:last]
+    return float(np.nanmean(found)) if np.isfinite(found).any() else float("nan")

@@ -119,8 +119,7 @@ def errors(task: Task, model: Model, z) -> np.ndarray:
     found = []
     for k, predicted in enumerate(task.predict(model, [z], task.substeps(model, z))):
         gap = np.abs(predicted[0] - task.seen(k))[1:]
-        held = task.simulators[k].replica.system.grips
-        gap[:, held[held >= 0]] = np.nan
+        gap[:, task.simulators[k].replica.driven] = np.nan
         lost = ~np.isfinite(predicted[0]).all()
         found.append(np.inf if lost else float(np.nanmean(gap)))
     return np.array(found)

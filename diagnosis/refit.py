@@ -108,7 +108,7 @@ def evaluate(
         watched, alone = runs[part.index]
         replica = simulator.replica
         judged = np.ones(len(replica.nodes), bool)
-        judged[replica.system.grips[replica.system.grips >= 0]] = False
+        judged[replica.driven] = False
         if leave is not None:
             judged[leave(replica)] = False
         seen = replica.sightings.position[part.first : part.last, judged]

@@ -65,6 +65,11 @@ class Replica:
         """(n, 3) frame-0 positions [m]."""
         return self.system.positions
 
+    @property
+    def driven(self) -> np.ndarray:
+        """Indices of the nodes that hands drive: where they are is given, not predicted."""
+        return self.system.grips[self.system.grips >= 0]
+
     def particles(self, nodes) -> list[int]:
         """Indices of the recording's structure particles that the given nodes stand for."""
         return np.flatnonzero(np.isin(self.node_of, np.asarray(list(nodes)))).tolist()

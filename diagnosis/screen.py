@@ -112,9 +112,8 @@ def _by_part(task, model, rows, parts, substeps):
             runs[part.index] = simulator.run(model.terms, mine, last, substeps=substeps[part.index])
         simulator, found = task.simulators[part.index], runs[part.index]
         seen = simulator.replica.sightings.position[part.first : part.last]
-        held = simulator.replica.system.grips
         there = np.isfinite(seen[..., 0])
-        there[:, held[held >= 0]] = False
+        there[:, simulator.replica.driven] = False
         if part.first == 0:
             there[0] = False
         gap = np.where(there[None, ..., None], seen[None] - found[:, part.first : part.last], 0.0)

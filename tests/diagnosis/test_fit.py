@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from twinbench.diagnosis import fit as fitting
 from twinbench.diagnosis.baseline import baseline_model
-from twinbench.diagnosis.fit import Task, fit, jacobian, mean_error, weights_of
-from twinbench.diagnosis.model import Knob
+from twinbench.diagnosis.fit import Task, fit, gaps, jacobian, mean_error, weights_of
+from twinbench.diagnosis.model import Knob, Simulator
+from twinbench.diagnosis.replica import build_replica
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +94,20 @@ def test_mean_error_is_the_mean_distance_of_seen_nodes(tiny):
     scenario = tiny.concealing(gravity=np.zeros(3), frames=8, train_end=8)
     seen = scenario.points.copy()
     seen[5:] = np.nan
-    simulator = tiny.drawn(scenario, seen=seen)
-    assert mean_error(simulator, scenario.points + [0.003, 0, 0.004], 2, 8) == pytest.approx(0.005)  # 3, 4, 5
-    assert np.isnan(mean_error(simulator, scenario.points, 5, 8))
+    replica = tiny.drawn(scenario, seen=seen).replica
+    assert mean_error(replica, scenario.points + [0.003, 0, 0.004], 2, 8) == pytest.approx(0.005)  # 3, 4, 5
+    assert np.isnan(mean_error(replica, scenario.points, 5, 8))
+
+
+def test_what_hands_drive_is_neither_fitted_nor_judged(tiny):
+    points = np.repeat(tiny.sheet(4, 5)[None], 8, 0)
+    replica = build_replica(tiny.filmed(points, points[:, [8, 3]], grips=[8, 3]), nodes=20)
+    driven = np.isin(np.arange(20), replica.driven)
+    np.testing.assert_allclose(replica.nodes[replica.driven], points[0, [8, 3]])
+    assert ((weights_of(Simulator(replica), 8)[1:] == 0) == driven).all()
+    off = replica.sightings.position + [0.003, 0, 0.004]
+    assert (np.isnan(gaps(replica, off)) == driven).all()
+    assert mean_error(replica, np.where(driven[:, None], 9.0, off), 0, 8) == pytest.approx(0.005)
 
 
 @pytest.mark.parametrize("log", [False, True])
