@@ -10,7 +10,7 @@ import numpy as np
 from .model import Knob, Model, Simulator
 from .replica import Replica
 
-__all__ = ["Fit", "Task", "fit", "gaps", "mean_error", "weights_of"]
+__all__ = ["Fit", "Task", "fit", "gaps", "jacobian", "mean_error", "turned", "weights_of"]
 
 INDEPENDENT = 100.0  # data that a recording is worth: tracks move together, so far fewer than its coordinates
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # Levenberg-Marquardt dampings tried side by side
@@ -139,22 +139,20 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
     return Fit(model, z, loss, covariance, tuple(history))
 
 
-def jacobian(task: Task, model: Model, z, residual, substeps, columns: Sequence[int] | None = None):
-    """(R, K) derivative of the residual by each knob (one-sided, away from a bound), and which columns are finite and not zero."""
-    knobs = model.knobs
-    columns = range(len(knobs)) if columns is None else columns
-    trials, widths = [], []
-    for k in columns:
-        step = knobs[k].step
-        trial = np.array(z, float)
-        trial[k] += step
-        if abs(knobs[k].decode(trial[k]) - knobs[k].decode(z[k])) < 1e-12:
-            step = -step
-            trial[k] = z[k] + step
-        trials.append(trial)
-        widths.append(step)
+def turned(model: Model, z) -> tuple[np.ndarray, np.ndarray]:
+    """(K, K) ``z`` with one knob after the other turned by its step of finite differences, and (K,) these steps: back from a bound."""
+    steps = []
+    for knob, u in zip(model.knobs, z, strict=True):
+        moved = abs(knob.decode(u + knob.step) - knob.decode(u)) > 1e-12
+        steps.append(knob.step if moved else -knob.step)
+    return z + np.diag(steps), np.array(steps)
+
+
+def jacobian(task: Task, model: Model, z, residual, substeps):
+    """(R, K) derivative of the residual by each knob (one-sided, away from a bound), and which columns are finite."""
+    trials, steps = turned(model, z)
     found = task.residuals(task.predict(model, trials, substeps))
-    slopes = ((found - residual) / np.array(widths)[:, None]).T
+    slopes = ((found - residual) / steps[:, None]).T
     ok = np.isfinite(slopes).all(0)
     slopes[:, ~ok] = 0.0
     return slopes, ok

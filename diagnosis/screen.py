@@ -9,7 +9,7 @@ from math import ceil
 
 import numpy as np
 
-from .fit import INDEPENDENT, Fit, Task, _huber
+from .fit import INDEPENDENT, Fit, Task, _huber, turned
 from .hypotheses import STAGES_IN_ONE, Hypothesis
 
 __all__ = ["Part", "Score", "screen"]
@@ -53,11 +53,13 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
         groups["one" if h.term.stage in STAGES_IN_ONE else h.term].append(h)
     scores: list[Score] = []
     nuisance = None
+    trials, widths = turned(base.model, base.z)
     substeps = [ceil(MARGIN * n) for n in task.substeps(base.model, base.z)]
     for members in groups.values():
         model = base.model.extended({h.term for h in members}, {}, ())
         off = {k.name: max(0.0, k.low) for h in members for k in h.knobs}
-        rows = [{**row, **off} for row in ([base.values] if nuisance is not None else [base.values, *_knob_rows(base)])]
+        turns = [base.model.decode(z) for z in trials] if nuisance is None else []
+        rows = [{**row, **off} for row in (base.values, *turns)]
         steps = []
         for h in members:
             for knob in h.knobs:
@@ -66,10 +68,8 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
                 rows.append({**base.values, **off, **h.values, knob.name: steps[-1]})
         residuals = _by_part(task, model, rows, parts, substeps)
         origin = [r[0] for r in residuals]
-        done = 1
+        done = 1 + len(turns)
         if nuisance is None:
-            widths = _knob_widths(base)
-            done += len(widths)
             nuisance = [_clean((r[1:done] - r[0]).T / widths) for r in residuals]
         columns = [_clean((r[done:] - r[0]).T / np.array(steps)) for r in residuals]
         at = 0
@@ -80,24 +80,6 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
             mine = [c[:, own] for c in columns]
             scores.append(_score(h, *(_without(part, blind) for part in (origin, nuisance, mine)), parts))
     return scores
-
-
-def _knob_rows(base):
-    rows = []
-    for k, width in enumerate(_knob_widths(base)):
-        z = base.z.copy()
-        z[k] += width
-        rows.append(base.model.decode(z))
-    return rows
-
-
-def _knob_widths(base):
-    """Steps of the baseline's knobs, turned around at a bound."""
-    widths = []
-    for knob, u in zip(base.model.knobs, base.z, strict=True):
-        moved = abs(knob.decode(u + knob.step) - knob.decode(u)) > 1e-12
-        widths.append(knob.step if moved else -knob.step)
-    return np.array(widths)
 
 
 def _by_part(task, model, rows, parts, substeps):

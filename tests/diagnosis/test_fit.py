@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from twinbench.diagnosis import fit as fitting
 from twinbench.diagnosis.baseline import baseline_model
-from twinbench.diagnosis.fit import Task, fit, gaps, jacobian, mean_error, weights_of
-from twinbench.diagnosis.model import Knob, Simulator
+from twinbench.diagnosis.fit import Task, fit, gaps, jacobian, mean_error, turned, weights_of
+from twinbench.diagnosis.model import Knob, Model, Simulator
 from twinbench.diagnosis.replica import build_replica
 
 
@@ -66,6 +66,13 @@ def test_the_jacobian_is_the_derivative_of_the_residual(hung, two):
         # one-sided with a step of 0.05: off by half of it times the curvature, which is of the order of the slope
         assert np.linalg.norm(slopes[:, k] - central) < 0.05 * np.linalg.norm(central)
     assert ok.all()
+
+
+def test_knobs_are_turned_one_at_a_time_and_back_from_a_bound():
+    model = Model((), {}, (Knob("a", 1.0, 1.0, 0.0, 2.0, step=0.1), Knob("b", 1.0, 1.0, 0.0, 2.0, step=0.2)))
+    trials, steps = turned(model, np.array([1.0, 0.5]))  # a is at its upper bound
+    assert steps.tolist() == [-0.1, 0.2]
+    np.testing.assert_allclose(trials, [[0.9, 0.5], [1.0, 0.7]])
 
 
 def test_frames_that_are_not_fitted_do_not_matter(tiny):
