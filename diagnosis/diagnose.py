@@ -159,7 +159,7 @@ def _errors(inquiry, chosen: Refit | None):
             "extended": mean(chosen.found if chosen else None),
             "noise_floor": floor,
             "last_residual": _last_residual(inquiry) if name == "heldout" else None,
-            "learned_residual": mean(inquiry.yardstick),
+            "learned_residual": mean(inquiry.yardstick.found),
         }
     return out
 
@@ -286,8 +286,7 @@ def _experiment(inquiry, decision: Decision):
 
 def _table(inquiry, decision):
     """A row for every effect that was tried: gains after the refit, or linear ones with the reason why it went no further."""
-    rows, base = [], inquiry.base
-    rows.append(
+    rows = [
         {
             "effect": "baseline",
             "kind": "baseline",
@@ -295,7 +294,7 @@ def _table(inquiry, decision):
             "heldout_gain": 0.0,
             "transfer_gain": 0.0 if inquiry.transfers else None,
         }
-    )
+    ]
     refitted = {r.score.hypothesis.term.name: r for r in inquiry.refits}
     for term, score in inquiry.best().items():
         h, refit = score.hypothesis, refitted.get(term)
@@ -317,19 +316,16 @@ def _table(inquiry, decision):
                 "why": _why(refit, score, gains, transfer, decision),
             }
         )
-    learned = inquiry.yardstick
-    if learned:
-        gain = {p.name: 1 - learned.observed[p.name] / max(base.observed[p.name], 1e-300) for p in inquiry.parts}
-        transfer = [gain[t] for t in _transfers(inquiry)]
-        rows.append(
-            {
-                "effect": "learned_residual",
-                "kind": "yardstick",
-                "train_gain": _finite(gain["train"]),
-                "heldout_gain": _finite(gain["heldout"]),
-            }
-            | {"transfer_gain": _finite(float(np.mean(transfer))) if transfer else None}
-        )
+    transfer = [inquiry.yardstick.gain(t) for t in _transfers(inquiry)]
+    rows.append(
+        {
+            "effect": "learned_residual",
+            "kind": "yardstick",
+            "train_gain": _finite(inquiry.yardstick.gain("train")),
+            "heldout_gain": _finite(inquiry.yardstick.gain("heldout")),
+            "transfer_gain": _finite(float(np.mean(transfer))) if transfer else None,
+        }
+    )
     return sorted(rows, key=lambda r: (r["kind"] == "yardstick", -(r.get("probability") or 0.0), -(r.get("train_gain") or 0.0)))
 
 

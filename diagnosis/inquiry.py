@@ -59,9 +59,9 @@ class Inquiry:
     transfers    how many of them are transfer recordings
     parts        train and heldout of the case, transfer...
     base         the baseline after as many steps as every refit had
-    scores       of every hypothesis, and of the learned residual
+    scores       of every hypothesis
     refits       of the best hypothesis of each term that was taken further
-    yardstick    a force field without a name, refitted like the others
+    yardstick    a force field without a name, scored and refitted like the hypotheses
     watched      by recording (F, n, 3) m, the baseline under the observer
     push         by recording (F, n, 3) m/s^2, what the observer pushed with
     """
@@ -72,9 +72,8 @@ class Inquiry:
     parts: tuple[Part, ...]
     base: Verdictable
     scores: list[Score]
-    learned: Score
     refits: list[Refit]
-    yardstick: Verdictable | None
+    yardstick: Refit | None
     watched: list[np.ndarray]
     push: list[np.ndarray]
 
@@ -148,7 +147,7 @@ def inquire(
     hypotheses = hypotheses_for(simulators[0], fitted, missing_acceleration(replicas[0], fitted, BANDWIDTH))
     scores = screen(Task(simulators[:1], [frames], BANDWIDTH), base, [*hypotheses, _learned()], parts[:2])
     learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
-    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, learned, [], None, watched, push)
+    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push)
 
     best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
     chosen = sorted(best, key=promise, reverse=True)[: preset.refits]
@@ -158,7 +157,7 @@ def inquire(
     fits = refit(task, base, [*chosen, learned, *rivals.values()], iterations=preset.steps, spacing=replicas[0].spacing)
     others = dict(zip(rivals, fits[2 + len(chosen) :], strict=True))
     base = evaluate(wide, fits[0], None, parts)
-    yardstick = evaluate(wide, fits[1 + len(chosen)], learned, parts)
+    yardstick = Refit(learned, evaluate(wide, fits[1 + len(chosen)], learned, parts), base)
     refits = []
     for k, (score, found) in enumerate(zip(chosen, fits[1 : 1 + len(chosen)], strict=True)):
         if k not in rivals:

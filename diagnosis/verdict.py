@@ -129,8 +129,7 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     """What speaks for nothing or for something else: gains of a nameless force field and the best reading, the error over noise."""
-    before, after = inquiry.base.observed, inquiry.yardstick.observed
-    gains = [left(1 - after[part] / max(before[part], 1e-300)) for part in before if part != "train"]
+    gains = [left(inquiry.yardstick.gain(part.name)) for part in inquiry.parts if part.name != "train"]
     noise = max(inquiry.case.sightings.noise, 1e-4)
     floor = float(np.log(np.sqrt(inquiry.base.observed["train"] / 3) / noise))
     return {"learned": float(np.mean(gains)), "best": max([_worth(r.features) for r in found if r.term], default=0.0), "floor": floor}
