@@ -1,13 +1,14 @@
 """What a metric is, how one is averaged over frames, and how the metrics of this folder are found.
 
-A metric is one file in this folder that holds a ``METRIC``: an instance of a :class:`Metric`.
+A metric is one file in this folder that holds a ``METRIC``: an instance of a :class:`Metric`; or ``METRICS``, a tuple of them, where one
+formula is applied as published and as it should be.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Literal, Protocol
@@ -15,9 +16,13 @@ from typing import Literal, Protocol
 import numpy as np
 
 from ..datasets.collection import nearest
-from ..datasets.scenario import Scenario
+from ..datasets.scenario import Camera, Scenario
 
-__all__ = ["Metric", "Prediction", "Score", "get_metric", "metrics", "score"]
+__all__ = ["Metric", "Prediction", "Rendered", "Score", "Unscorable", "get_metric", "metrics", "score", "scores"]
+
+
+class Unscorable(ValueError):
+    """There is nothing to compare, for the reason that the message gives: the value is NaN."""
 
 
 class Prediction(Protocol):
@@ -33,19 +38,31 @@ class Prediction(Protocol):
     def surface(self) -> np.ndarray: ...
 
 
+class Rendered(Prediction, Protocol):
+    """A prediction that can be looked at."""
+
+    def image(self, camera: Camera, frame: int) -> np.ndarray:
+        """(H, W, 4) floats in [0, 1]: colour over black (premultiplied) and opacity. Raises Unscorable where there is no appearance."""
+        ...
+
+
 class Metric(ABC):
     """A pure function of a prediction and a recording, with what its number means.
 
     name        what it is called in rows and tables
-    unit        unit of the value ("m", or "" for a ratio)
+    unit        unit of the value ("m", "dB", or "" for a ratio)
     direction   "lower" or "higher": which is better
     version     raised whenever the same input would give another number
+    images      whether it looks at images; then a prediction should be :class:`Rendered`
+    pooled      whether a table averages it over the frames of all recordings together, instead of recording by recording
     """
 
     name: str
     unit: str
     direction: Literal["lower", "higher"]
     version: int
+    images: bool = False
+    pooled: bool = False
 
     def __call__(self, prediction: Prediction, scenario: Scenario, frames: Sequence[int]) -> np.ndarray:
         """Values (F,), one per frame of ``frames``. NaN where the recording has nothing to compare with, or the prediction is not finite.
@@ -62,14 +79,26 @@ class Metric(ABC):
     def per_frame(self, prediction: Prediction, scenario: Scenario, frames: Sequence[int]) -> Sequence[float]:
         """The values of ``frames``, which are known to exist."""
 
+    def unavailable(self) -> str | None:
+        """Why this metric has no value for any recording here (a package or a file that cannot be had), or None. Asked often: cheap."""
+        return None
+
+    def reason(self, prediction: Prediction, scenario: Scenario, frame: int) -> str:
+        """Why ``frame``, which came out as NaN, has no value."""
+        return f"frame {frame}: the recording has nothing to compare with"
+
 
 @dataclass(frozen=True)
 class Score:
-    """Mean over the scorable frames (NaN if there is none, or the prediction is not finite), frames asked for, frames not scorable."""
+    """Mean over the scorable frames (NaN if there is none, or the prediction is not finite), frames asked for, frames not scorable.
+
+    ``reason`` says why the first of those is not; "" where all are.
+    """
 
     mean: float
     frames: int
     unscorable: int
+    reason: str = field(default="", repr=False)
 
 
 def score(metric: Metric, prediction: Prediction, scenario: Scenario, frames: Sequence[int]) -> Score:
@@ -78,22 +107,43 @@ def score(metric: Metric, prediction: Prediction, scenario: Scenario, frames: Se
     A frame that the recording cannot score is left out and counted. A frame that the prediction does not reach (NaN or
     infinity) makes the mean NaN: a roll-out that blew up has no score, not the score of its good beginning.
     """
-    values = metric(prediction, scenario, frames)
-    finite = np.isfinite(prediction.positions[np.asarray(frames, int)]).all()
+    return scores({metric.name: metric}, prediction, scenario, frames)[metric.name]
+
+
+def scores(metrics: Mapping[str, Metric], prediction: Prediction, scenario: Scenario, frames: Sequence[int]) -> dict[str, Score]:
+    """Average each of ``metrics`` over ``frames``, as ``score`` does. Those that look at images go through the frames side by side, so that
+    a prediction that keeps its last image makes each once for all of them.
+    """
+    missing = {name: metric.unavailable() for name, metric in metrics.items()}
+    values = {name: np.full(len(frames), np.nan) for name in metrics}
+    for name, metric in metrics.items():
+        if not (missing[name] or metric.images):
+            values[name] = metric(prediction, scenario, frames)
+    for i, frame in enumerate(frames):
+        for name, metric in metrics.items():
+            if metric.images and not missing[name]:
+                values[name][i : i + 1] = metric(prediction, scenario, [frame])
+    finite = bool(np.isfinite(prediction.positions[np.asarray(frames, int)]).all())
+    return {name: _average(metric, values[name], missing[name], finite, prediction, scenario, frames) for name, metric in metrics.items()}
+
+
+def _average(metric, values, missing, finite, prediction, scenario, frames) -> Score:
     scorable = ~np.isnan(values)
     mean = float(values[scorable].mean()) if finite and scorable.any() else float("nan")
-    return Score(mean, len(values), int((~scorable).sum()))
+    reason = missing or ("" if finite else "the prediction is not finite")
+    if not (reason or scorable.all()):
+        reason = metric.reason(prediction, scenario, frames[int(np.flatnonzero(~scorable)[0])])
+    return Score(mean, len(values), int((~scorable).sum()), reason)
 
 
 def metrics() -> dict[str, Metric]:
-    """Every metric found in this folder, by name."""
-    found = {}
+    """Every metric found in this folder, by name; those of images come last."""
+    found: list[Metric] = []
     for file in sorted(Path(__file__).parent.glob("*.py")):
         if file != Path(__file__) and "METRIC" in file.read_text(encoding="utf-8"):
-            metric = getattr(import_module(f".{file.stem}", __package__), "METRIC", None)
-            if metric is not None:
-                found[metric.name] = metric
-    return found
+            module = import_module(f".{file.stem}", __package__)
+            found += [module.METRIC] if hasattr(module, "METRIC") else getattr(module, "METRICS", ())
+    return {metric.name: metric for metric in sorted(found, key=lambda metric: metric.images)}
 
 
 def get_metric(name: str) -> Metric:

@@ -38,5 +38,8 @@ class Chamfer(Metric):
     def per_frame(self, prediction, scenario, frames):
         return [one_sided_chamfer(scenario.points[t][scenario.visible[t]], prediction.surface[t], norm=self.norm) for t in frames]
 
+    def reason(self, prediction, scenario, frame):
+        return f"frame {frame}: no tracked point is visible"
+
 
 METRIC = Chamfer()

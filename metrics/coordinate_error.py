@@ -35,6 +35,11 @@ class CoordinateError(Metric):
         seen = scenario.visible
         return [mean_absolute_difference(scenario.points[t][seen[t]], prediction.tracked[t][seen[t]]) for t in frames]
 
+    def reason(self, prediction, scenario, frame):
+        if not _corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0]):
+            return "the twin's particles are not the recording's points"
+        return super().reason(prediction, scenario, frame)
+
 
 def _corresponds(particles, points, visible) -> bool:
     """Whether particle i stands for point i, judged in frame 0."""

@@ -41,6 +41,11 @@ class TrackError(Metric):
         rows, particles = match_tracks(scenario.tracks[0], prediction.positions[0])
         return [_mean_distance(scenario.tracks[t][rows], prediction.positions[t][particles]) for t in frames]
 
+    def reason(self, prediction, scenario, frame):
+        if scenario.tracks is None:
+            return "the recording has no annotated tracks"
+        return f"frame {frame}: no track that was annotated in frame 0 is annotated"
+
 
 def _mean_distance(tracks, predicted) -> float:
     annotated = np.isfinite(tracks).all(axis=1)
