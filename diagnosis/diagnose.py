@@ -15,7 +15,7 @@ from ..datasets.scenario import Scenario
 from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .locate import clusters
-from .report import write_report
+from .report import plain, write_report
 from .verdict import NONE, Calibration, Decision, calibration, context, decide, readings
 
 __all__ = ["NAMES", "Diagnosis", "diagnose"]
@@ -50,7 +50,7 @@ class Diagnosis:
         out.mkdir(parents=True, exist_ok=True)
         temporary = out / f".diagnosis.{uuid.uuid4().hex}"
         try:
-            temporary.write_text(json.dumps(_plain(self.result), indent=1, allow_nan=False), encoding="utf-8")
+            temporary.write_text(json.dumps(plain(self.result), indent=1, allow_nan=False), encoding="utf-8")
             temporary.replace(out / "diagnosis.json")
         finally:
             temporary.unlink(missing_ok=True)
@@ -423,14 +423,3 @@ def _arrays(inquiry, chosen):
 def _curve(replica, predicted):
     with np.errstate(all="ignore"):
         return [None if not np.isfinite(g).any() else float(np.nanmean(g)) for g in gaps(replica, predicted)]
-
-
-def _plain(value):
-    """``value`` as JSON has it; NaN and infinity as None."""
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    return None if isinstance(value, float) and not np.isfinite(value) else value

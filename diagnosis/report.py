@@ -18,7 +18,7 @@ from .page import tables
 from .page.arrays import thin, view
 from .page.words import VERDICTS, headline, improvement
 
-__all__ = ["write_report"]
+__all__ = ["plain", "write_report"]
 
 LIMIT = 2_900_000  # bytes of a report: it travels by mail and opens at once
 LEAST = 100_000  # numbers that the views get however long the rest is
@@ -40,7 +40,7 @@ def write_report(result: dict, evidence: dict[str, np.ndarray], path: str | Path
     Raises ValueError where the verdict is unknown, an array has a wrong shape, or ``result`` holds what JSON cannot.
     """
     path = Path(path)
-    text = _page(_plain(result), evidence)
+    text = _page(plain(result), evidence)
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -95,14 +95,17 @@ def _vector(evidence: dict, name: str, size: int) -> list[float] | None:
     return vector.tolist()
 
 
-def _plain(value):
-    """``value`` as JSON has it: numpy's numbers and arrays as Python's, NaN and infinity as None."""
+def plain(value):
+    """``value`` as JSON has it: numpy's numbers and arrays as Python's, NaN and infinity as None.
+
+    Raises ValueError where it holds what JSON cannot.
+    """
     if isinstance(value, dict):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
+        return [plain(one) for one in value]
     if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if value is None or isinstance(value, (str, bool, int, float)):
