@@ -85,8 +85,18 @@ class Runner:
     def _compute(self, fit: Fit, fit_key: str, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
         device_name(self.settings.device)  # raises where it is not there
         try:
-            self._held = [self._load(name) for name in fit.sources]  # for the next method on the same sources
             method = self._method(fit.method)
+        except Stopped as stopped:
+            yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)
+            return
+        if method.skip_transfer:
+            refused = [evaluation for evaluation in evaluations if evaluation.task == "transfer"]
+            yield from ((evaluation, self._row({"status": "skipped", "reason": method.skip_transfer}, {})) for evaluation in refused)
+            evaluations = [evaluation for evaluation in evaluations if evaluation not in refused]
+            if not evaluations:
+                return
+        try:
+            self._held = [self._load(name) for name in fit.sources]  # for the next method on the same sources
             self._refuse(method, self._held)
             twin, about = self._twin(method, fit, fit_key, report)
         except Stopped as stopped:

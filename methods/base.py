@@ -88,6 +88,7 @@ class Method(ABC):
 
     name: str
     builds_on: str | None = None
+    skip_transfer: str | None = None  # why no twin of this method can be placed in another recording; its transfer rows say so
 
     @abstractmethod
     def fit(
