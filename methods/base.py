@@ -57,9 +57,13 @@ class Budget:
 
 
 class Twin(ABC):
-    """A fitted, simulable object, placed in frame 0 of one recording. ``note`` is what a table says of it, if anything."""
+    """A fitted, simulable object, placed in frame 0 of one recording. ``note`` is what a table says of it, if anything.
+
+    ``looks_ahead`` is True where a frame may depend on what the controllers do after it, as where frames between steps are interpolated.
+    """
 
     note = ""
+    looks_ahead = False
 
     @abstractmethod
     def rollout(self, controllers: np.ndarray) -> Trajectory:
