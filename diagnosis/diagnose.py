@@ -93,7 +93,10 @@ def diagnose(
     around = context(inquiry, found)
     decision = decide(found, around, weights)
     chosen = next((r for r in inquiry.refits if decision.chosen and r.score.hypothesis.term.name == decision.chosen.term), None)
-    nodes, where = _where(inquiry, chosen)
+    before = inquiry.free(inquiry.base)
+    after = inquiry.free(chosen.found) if chosen else None
+    change = np.linalg.norm(after[0] - before[0], axis=-1) if chosen else None
+    nodes, where = _where(inquiry, chosen, change)
     result = {
         "schema": 1,
         "verdict": decision.verdict,
@@ -101,9 +104,9 @@ def diagnose(
         "alternatives": list(decision.alternatives),
         "probabilities": {name: round(p, 4) for name, p in decision.probabilities.items()},
         "where": where,
-        "when": _when(inquiry, decision, chosen),
+        "when": _when(inquiry, decision, chosen, change),
         "parameters": _parameters(chosen),
-        "fit": _errors(inquiry, chosen),
+        "fit": _errors(inquiry, chosen, before[0]),
         "detectable": _detectable(inquiry),
         "experiment": _experiment(inquiry, decision),
         "evidence": {
@@ -119,7 +122,7 @@ def diagnose(
         },
         "seconds": None,
     }
-    arrays, curves = _arrays(inquiry, chosen)
+    arrays, curves = _arrays(inquiry, before, after)
     result["evidence"]["curves"] = curves
     result["seconds"] = round(time.time() - begun, 1)
     return Diagnosis(result, arrays, inquiry, chosen)
@@ -143,8 +146,8 @@ def _noise_floor(inquiry):
     return float(np.sqrt(8 / np.pi) * inquiry.case.sightings.noise)
 
 
-def _errors(inquiry, chosen: Refit | None):
-    """Mean errors of free runs by part; several transfer recordings count alike."""
+def _errors(inquiry, chosen: Refit | None, free):
+    """Mean errors of free runs by part, ``free`` (F, n, 3) that of the baseline on the case; several transfer recordings count alike."""
     floor, out = _noise_floor(inquiry), {}
     for name, parts in (("train", ["train"]), ("heldout", ["heldout"]), ("transfer", _transfers(inquiry))):
         if not parts:
@@ -158,16 +161,15 @@ def _errors(inquiry, chosen: Refit | None):
             "baseline": mean(baseline),
             "extended": mean(chosen.found if chosen else None),
             "noise_floor": floor,
-            "last_residual": _last_residual(inquiry) if name == "heldout" else None,
+            "last_residual": _last_residual(inquiry, free) if name == "heldout" else None,
             "learned_residual": mean(inquiry.yardstick.found),
         }
     return out
 
 
-def _last_residual(inquiry):
-    """Mean error [m] on held-out frames of the baseline shifted, node by node, by its last error on a training frame."""
+def _last_residual(inquiry, free):
+    """Mean error [m] on held-out frames of the run ``free`` shifted, node by node, by its last error on a training frame."""
     replica, part = inquiry.case, inquiry.parts[1]
-    free = inquiry.free(inquiry.base)[0]
     residual = replica.sightings.position[: part.first] - free[: part.first]
     last = np.zeros(residual.shape[1:])
     for frame in residual:  # the last frame in which each node was seen
@@ -176,7 +178,7 @@ def _last_residual(inquiry):
     return mean_error(replica, free + last, part.first, part.last)
 
 
-def _where(inquiry, chosen):
+def _where(inquiry, chosen, change):
     """Nodes, and the place as ``diagnosis.json`` has it: none of an effect without one, the held nodes of one at the hands."""
     if chosen is None:
         return [], None
@@ -191,7 +193,7 @@ def _where(inquiry, chosen):
         centroid = centre if in_room or not len(nodes) else replica.nodes[nodes].mean(0)
         return nodes.tolist(), {"points": replica.particles(nodes), "centroid": centroid.tolist(), "radius": reach}
     if effect.name.startswith("grip"):
-        nodes = _worst_grip(inquiry, chosen)
+        nodes = _worst_grip(inquiry.case, change)
         if len(nodes):
             centre = replica.nodes[nodes].mean(0)
             radius = float(np.linalg.norm(replica.nodes[nodes] - centre, axis=1).max())
@@ -203,11 +205,10 @@ def _where(inquiry, chosen):
     return [], None
 
 
-def _worst_grip(inquiry, chosen):
-    """Nodes held by the hand around which the extension changes most."""
+def _worst_grip(replica, change):
+    """Nodes held by the hand around which the ``change`` (F, n) by the extension is largest."""
     from .replica import fists
 
-    replica = inquiry.case
     ties = replica.system.springs[replica.links]
     if not len(ties):
         return np.zeros(0, int)
@@ -215,21 +216,18 @@ def _worst_grip(inquiry, chosen):
     hand = np.where(ties[:, 0] >= count, ties[:, 0], ties[:, 1]) - count
     node = np.where(ties[:, 0] >= count, ties[:, 1], ties[:, 0])
     label = fists(replica.recording.controllers[0])
-    before, after = inquiry.free(inquiry.base)[0], inquiry.free(chosen.found)[0]
-    change = np.nanmean(np.linalg.norm(after - before, axis=-1), axis=0)
+    change = np.nanmean(change, axis=0)
     groups = [np.unique(node[label[hand] == one]) for one in np.unique(label[hand])]
     return max(groups, key=lambda g: float(np.nanmean(change[g])))
 
 
-def _when(inquiry, decision: Decision, chosen):
-    """Frames of the case in which the effect acts: from the first in which it changes the twin clearly, if it is one that begins."""
+def _when(inquiry, decision: Decision, chosen, change):
+    """Frames of the case in which the effect acts: from the first in which its ``change`` (F, n) m is clear, if it is one that begins."""
     if chosen is None:
         return None
     frames = inquiry.case.frames
     if decision.effect not in SUDDEN:
         return {"frames": [0, frames]}
-    before, after = inquiry.free(inquiry.base)[0], inquiry.free(chosen.found)[0]
-    change = np.linalg.norm(after - before, axis=-1)
     far = np.sort(np.nan_to_num(change), axis=1)[:, -max(1, change.shape[1] // 20) :].mean(1)
     limit = max(DEPARTS * far.max(), 2 * _noise_floor(inquiry))
     late = np.flatnonzero(far > limit)
@@ -395,11 +393,9 @@ def _recordings(inquiry, scenario):
     return out
 
 
-def _arrays(inquiry, chosen):
-    """What the report draws, and the error curves by recording [m per frame]."""
+def _arrays(inquiry, before, after):
+    """What the report draws, and the error curves by recording [m per frame], of free runs without and with what was chosen (or None)."""
     arrays, curves = {}, {}
-    before = inquiry.free(inquiry.base)
-    after = inquiry.free(chosen.found) if chosen else None
     for r, simulator in enumerate(inquiry.simulators[: 1 + inquiry.transfers]):
         replica = simulator.replica
         arrays[f"observed_{r}"] = replica.sightings.position
