@@ -137,10 +137,6 @@ def _affordable(preset: Preset, scenario: Scenario) -> Preset:
 LONG = 90  # frames: longer recordings get coarser replicas
 
 
-def _transfers(inquiry):
-    return [p.name for p in inquiry.parts if p.name.startswith("transfer")]
-
-
 def _noise_floor(inquiry):
     """Mean length [m] of the noise vector of a node: sqrt(8 / pi) standard deviations of a coordinate."""
     return float(np.sqrt(8 / np.pi) * inquiry.case.sightings.noise)
@@ -149,7 +145,7 @@ def _noise_floor(inquiry):
 def _errors(inquiry, chosen: Refit | None, free):
     """Mean errors of free runs by part, ``free`` (F, n, 3) that of the baseline on the case; several transfer recordings count alike."""
     floor, out = _noise_floor(inquiry), {}
-    for name, parts in (("train", ["train"]), ("heldout", ["heldout"]), ("transfer", _transfers(inquiry))):
+    for name, parts in (("train", ["train"]), ("heldout", ["heldout"]), ("transfer", inquiry.transferred)):
         if not parts:
             continue
 
@@ -298,7 +294,7 @@ def _table(inquiry, decision):
         h, refit = score.hypothesis, refitted.get(term)
         amplitude = _amplitude(refit.found.fit, h) if refit else float(np.linalg.norm(score.amplitude))
         gains = {p.name: (refit.gain(p.name) if refit else score.gains.get(p.name, np.nan)) for p in inquiry.parts}
-        transfer = [gains[t] for t in _transfers(inquiry)]
+        transfer = [gains[t] for t in inquiry.transferred]
         rows.append(
             {
                 "effect": h.effect,
@@ -314,7 +310,7 @@ def _table(inquiry, decision):
                 "why": _why(refit, score, gains, transfer, decision),
             }
         )
-    transfer = [inquiry.yardstick.gain(t) for t in _transfers(inquiry)]
+    transfer = [inquiry.yardstick.gain(t) for t in inquiry.transferred]
     rows.append(
         {
             "effect": "learned_residual",

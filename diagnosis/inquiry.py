@@ -81,6 +81,11 @@ class Inquiry:
     def case(self) -> Replica:
         return self.simulators[0].replica
 
+    @property
+    def transferred(self) -> list[str]:
+        """Names of the parts that are transfer recordings."""
+        return [p.name for p in self.parts if p.index]
+
     def best(self) -> dict[str, Score]:
         """The best score of each term."""
         found: dict[str, Score] = {}

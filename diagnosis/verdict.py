@@ -88,10 +88,9 @@ def left(gain: float) -> float:
 
 def readings(inquiry: Inquiry) -> list[Reading]:
     """Every refitted hypothesis, and what the tracks say by themselves."""
-    transfer = [p.name for p in inquiry.parts if p.name.startswith("transfer")]
     found = []
     for refit in inquiry.refits:
-        found.append(Reading(refit.score.hypothesis.effect, refit.score.hypothesis.term.name, _features(refit, transfer)))
+        found.append(Reading(refit.score.hypothesis.effect, refit.score.hypothesis.term.name, _features(refit, inquiry.transferred)))
     if len(inquiry.simulators) > 1 + inquiry.transfers:  # the twin comes from other recordings of the body
         for reading in found:
             reading.features["settled"] = float(reading.effect in MATERIAL)
