@@ -26,17 +26,13 @@ FOLDS = 8
 
 def answer(case: Path, out: Path, preset: str, device: str) -> dict:
     """Diagnose ``case``/fit with ``case``/transfer, write into ``out``/NAME, and return the result; an error is an answer that says so."""
-    import twinbench
-
     from ..diagnosis.diagnose import diagnose
-
-    def load(folder):
-        collection = twinbench.open_collection(str(folder))
-        return collection.load(next(iter(collection.scenarios)))
+    from .opening import open_scenario
 
     begun = time.time()
     try:
-        found = diagnose(load(case / "fit"), transfer=[load(case / "transfer")], preset=preset, device=device)
+        fit, transfer = (open_scenario(str(case / part)) for part in ("fit", "transfer"))
+        found = diagnose(fit, transfer=[transfer], preset=preset, device=device)
         found.write(out / case.name)
     except Exception as error:
         traceback.print_exc()
