@@ -18,7 +18,7 @@ import numpy as np
 from ..datasets.scenario import Images, Scenario
 from .cache import Cache, digest
 
-__all__ = ["Checksums", "checksum", "code", "method_code"]
+__all__ = ["Checksums", "checksum", "code", "image_checksum", "method_code"]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -27,6 +27,24 @@ def checksum(scenario: Scenario) -> str:
     """Hexadecimal SHA-256 of everything a scenario holds but its name and its images (which are read lazily)."""
     state = hashlib.sha256()
     _feed(state, {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name != "name"})
+    return state.hexdigest()
+
+
+def image_checksum(scenario: Scenario) -> str:
+    """Hexadecimal SHA-256 of the images that are looked at: all of frame 0, and camera 0's colours and masks in every frame.
+
+    An image that cannot be read counts by the error that says so.
+    """
+    state, images = hashlib.sha256(), scenario.images
+    if images is not None:
+        kinds = {kind: getattr(images, kind) for kind in ("color", "mask", "human_mask", "depth")}
+        wanted = [(kind, camera, 0) for kind in kinds for camera in range(len(scenario.cameras))]
+        wanted += [(kind, 0, frame) for frame in range(1, scenario.frame_count) for kind in kinds if kind != "depth"]
+        for kind, camera, frame in wanted:
+            try:
+                _feed(state, np.asarray(kinds[kind](camera, frame)))
+            except (OSError, ValueError, IndexError) as error:
+                _feed(state, str(error))
     return state.hexdigest()
 
 
@@ -71,19 +89,29 @@ def _hash(files) -> str:
 
 
 class Checksums:
-    """Checksums of recordings by name, remembered in ``cache`` under ``key`` where there is one."""
+    """Checksums of recordings by name, and of their images, remembered in ``cache`` under ``key`` where there is one."""
 
     def __init__(self, cache: Cache, key: str | None = None):
         self._cache, self._key = cache, key
         self._known: dict[str, str] = (cache.read("checksums", key) if key else None) or {}
 
-    def learn(self, names: Iterable[str], load: Callable[[str], Scenario]) -> None:
-        """Read with ``load`` those recordings whose checksums are not known yet."""
-        unknown = [name for name in dict.fromkeys(names) if name not in self._known]
+    def learn(self, names: Iterable[str], load: Callable[[str], Scenario], *, images: bool = False) -> None:
+        """Read with ``load`` those recordings whose checksums, or with ``images`` those of their images, are not known yet."""
+        kinds = {"": checksum, **({_IMAGES: image_checksum} if images else {})}
+        unknown = [name for name in dict.fromkeys(names) if any(f"{name}{kind}" not in self._known for kind in kinds)]
         for name in unknown:
-            self._known[name] = checksum(load(name))
+            scenario = load(name)
+            for kind, compute in kinds.items():
+                self._known[f"{name}{kind}"] = compute(scenario)
         if unknown and self._key is not None:
             self._cache.write("checksums", self._key, self._known)
 
     def __getitem__(self, name: str) -> str:
         return self._known[name]
+
+    def images(self, name: str) -> str:
+        """The checksum of the images of a recording whose images were learnt."""
+        return self._known[f"{name}{_IMAGES}"]
+
+
+_IMAGES = "\nimages"  # no recording's name holds a line break

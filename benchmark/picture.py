@@ -53,7 +53,8 @@ class Player(Runner):
             method, target = self._method(fit.method), self._load(evaluation.target)
             self._refuse(method, [*self._held, target])
             twin, about = self._twin(method, fit, self._fit_key(fit), progress)
-            return self._roll_out(twin, about, target, evaluation.task == "transfer")[0]
+            trajectory, _ = self._roll_out(twin, about, target, evaluation.task == "transfer")
+            return self._shown(trajectory, evaluation.target, progress)
         except Stopped as stopped:
             raise ValueError(f"{fit.method} has no roll-out of {evaluation.target}: {stopped.row['reason']}") from stopped
 

@@ -20,6 +20,7 @@ class Results:
     """Rows, the units and directions of their metrics, and published figures to print beside them.
 
     published   {collection: {(task, method, metric): value in the metric's unit}}
+    pooled      metrics whose means are over the frames of all recordings, not over recordings
     """
 
     rows: Sequence[dict]
@@ -27,6 +28,7 @@ class Results:
     directions: Mapping[str, str]
     published: Mapping[str, Mapping[tuple[str, str, str], float]] = field(default_factory=dict)
     citations: Mapping[str, str] = field(default_factory=dict)
+    pooled: Sequence[str] = ()
 
     @classmethod
     def of(cls, rows: Sequence[dict], metrics: Mapping[str, Metric], collections: Sequence[Collection]) -> Results:
@@ -37,6 +39,7 @@ class Results:
             {name: metric.direction for name, metric in metrics.items()},
             {collection.name: dict(collection.published) for collection in collections},
             {collection.name: collection.citation for collection in collections},
+            tuple(name for name, metric in metrics.items() if metric.pooled),
         )
 
 
@@ -69,7 +72,7 @@ def read_results(folder: Path) -> Results:
         rows = pyarrow.parquet.read_table(folder / "rows.parquet").to_pylist()
         about = json.loads((folder / "about.json").read_text(encoding="utf-8"))
         published = {name: {tuple(key): value for *key, value in found} for name, found in about["published"].items()}
-        return Results(rows, about["units"], about["directions"], published, about["citations"])
+        return Results(rows, about["units"], about["directions"], published, about["citations"], tuple(about.get("pooled", ())))
     except (OSError, ValueError, KeyError, AttributeError) as error:  # pyarrow's errors are ValueErrors or OSErrors
         raise ValueError(f"the results in {folder} cannot be read: {error}") from error
 
@@ -81,6 +84,7 @@ def _about(results: Results) -> dict:
         "directions": dict(results.directions),
         "published": published,
         "citations": dict(results.citations),
+        "pooled": list(results.pooled),
     }
 
 

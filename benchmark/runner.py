@@ -13,12 +13,13 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..methods.base import Budget, Method, Trajectory, Twin
 from ..methods.registry import methods as known_methods
-from ..metrics.base import Metric, score
+from ..metrics.base import Metric, scores
 from .cache import Cache, digest
 from .checksum import Checksums, code, method_code
 from .opening import Opened
 from .plan import Evaluation, Fit, frames
 from .provenance import device_name, peak_memory, provenance, reset_peak_memory
+from .rendering import Appearances, Recent, Shown, appearance_class
 from .status import Stopped, as_status
 
 __all__ = ["Runner", "Settings"]
@@ -28,12 +29,21 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Settings:
-    """What all rows of a run have in common, and the methods and metrics to use, by name."""
+    """What all rows of a run have in common, and the methods and metrics to use, by name.
+
+    ``appearance()`` is the class of what twins are shown with where a metric looks at images.
+    """
 
     methods: Mapping[str, Callable[[], Method]]
     metrics: Mapping[str, Metric]
     preset: str = "quick"
     device: str = "cpu"
+    appearance: Callable[[], type] = appearance_class
+
+    @property
+    def images(self) -> bool:
+        """Whether any metric looks at images."""
+        return any(metric.images for metric in self.metrics.values())
 
 
 class Runner:
@@ -41,7 +51,8 @@ class Runner:
 
     A twin is stored under its method and that method's code, the content of its sources, seed, preset and device; a row under its twin,
     the content of its target, the task and the metrics' code. Rows and twins that are there are not computed again. Failed rows
-    are not stored: what made them fail (memory, a missing package) may be gone the next time.
+    are not stored: what made them fail (memory, a missing package) may be gone the next time. Nor are rows that lack images for such
+    a cause.
     """
 
     def __init__(self, opened: Opened, settings: Settings, cache: Cache):
@@ -50,6 +61,8 @@ class Runner:
         self._checksums = Checksums(cache, opened.key)
         self._loaded: WeakValueDictionary[str, Scenario] = WeakValueDictionary()
         self._held: list[Scenario] = []
+        self._appearances = Appearances(cache, preset=settings.preset, device=settings.device, kind=settings.appearance)
+        self._unseen: set[Evaluation] = set()
 
     def run(self, fits: list[Fit], *, progress: Progress = lambda label, fraction: None) -> list[dict]:
         """The rows of ``fits``. ``progress(label, fraction)`` is told what is going on and how much of everything is done.
@@ -58,7 +71,8 @@ class Runner:
         """
         names = [name for fit in fits for name in (*fit.sources, *(evaluation.target for evaluation in fit.evaluations))]
         progress("reading", 0.0)
-        self._checksums.learn(names, self._load)  # so that a recording that cannot be read is known before hours of work
+        # here, so that a recording that cannot be read is known before hours of work
+        self._checksums.learn(names, self._load, images=self.settings.images)
         rows = []
         for i, fit in enumerate(fits):
             label = f"{fit.method} on {_short(fit.sources)}"
@@ -78,8 +92,8 @@ class Runner:
         missing = [evaluation for evaluation, row in found.items() if row is None]
         for evaluation, row in self._compute(fit, fit_key, missing, report) if missing else ():
             found[evaluation] = row
-            if row["status"] != "failed":
-                self.cache.write("rows", keys[evaluation], row)
+            if row["status"] != "failed" and evaluation not in self._unseen:
+                self.cache.write("rows", self._row_key(fit_key, evaluation), row)  # a metric may have turned out to be unavailable
         return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
 
     def _compute(self, fit: Fit, fit_key: str, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
@@ -105,7 +119,7 @@ class Runner:
         for target in dict.fromkeys(evaluation.target for evaluation in evaluations):
             report(f"scoring {target}", 1.0)
             wanted = [evaluation for evaluation in evaluations if evaluation.target == target]
-            yield from self._evaluate(method, twin, about, wanted, self._load(target))
+            yield from self._evaluate(method, twin, about, wanted, self._load(target), report)
 
     def _method(self, name: str) -> Method:
         with as_status():
@@ -163,7 +177,7 @@ class Runner:
         return {"start": twin}, about["fit_seconds"]
 
     def _evaluate(
-        self, method: Method, twin: Twin, about: dict, evaluations: list[Evaluation], target: Scenario
+        self, method: Method, twin: Twin, about: dict, evaluations: list[Evaluation], target: Scenario, report: Progress
     ) -> Iterator[tuple[Evaluation, dict]]:
         """One roll-out from frame 0 for each way of placing the twin, scored for each task."""
         for transfer in (False, True):
@@ -178,8 +192,13 @@ class Runner:
             except Stopped as stopped:
                 yield from ((evaluation, self._row(stopped.row, about)) for evaluation in wanted)
                 continue
+            shown = self._shown(trajectory, wanted[0].target, report)
             for evaluation in wanted:
-                yield evaluation, self._row(self._score(trajectory, target, evaluation.task), about)
+                self._unseen.discard(evaluation)
+                row = self._row(self._score(shown, target, evaluation.task), about)
+                if shown.faults:
+                    self._unseen.add(evaluation)
+                yield evaluation, row
 
     def _roll_out(self, twin: Twin, about: dict, target: Scenario, transfer: bool) -> tuple[Trajectory, dict]:
         reset_peak_memory()
@@ -192,7 +211,17 @@ class Runner:
         peaks = {name: max(value, about[name]) for name, value in peak_memory().items()}
         return trajectory, {**about, **peaks, "rollout_seconds": time.perf_counter() - start}
 
-    def _score(self, trajectory: Trajectory, target: Scenario, task: str) -> dict:
+    def _shown(self, trajectory: Trajectory, target: str, report: Progress) -> Shown:
+        """The roll-out with the appearance of the recording ``target``, which is fitted when a metric first asks for an image."""
+
+        def appearance():
+            self._checksums.learn([target], self._load, images=True)
+            checksums = self._checksums[target], self._checksums.images(target)
+            return self._appearances.of(self._load(target), checksums, lambda stage, _: report(f"appearance of {target}: {stage}", 1.0))
+
+        return Shown.of(trajectory, appearance)
+
+    def _score(self, trajectory: Shown, target: Scenario, task: str) -> dict:
         wanted = frames(task, target.split)
         if not wanted:
             return {"status": "skipped", "reason": f"the recording has no frames for {task}"}
@@ -200,11 +229,12 @@ class Runner:
         if len(lost):
             return {"status": "diverged", "reason": "positions are not finite", "diverged_frame": int(lost[0])}
         row: dict = {"status": "ok", "frames": len(wanted)}
+        if target.images is not None and self.settings.images:
+            target = replace(target, images=Recent(target.images))
         try:
             with as_status():
-                for name, metric in self.settings.metrics.items():
-                    result = score(metric, trajectory, target, wanted)
-                    row |= {name: result.mean, f"{name}_unscorable": result.unscorable}
+                for name, result in scores(self.settings.metrics, trajectory, target, wanted).items():
+                    row |= {name: result.mean, f"{name}_unscorable": result.unscorable, f"{name}_reason": result.reason}
         except Stopped as stopped:
             return stopped.row
         return row
@@ -213,7 +243,7 @@ class Runner:
         """Everything of a row that the cache keeps, in the order of the columns."""
         nothing = {"status": "", "reason": "", "diverged_frame": None, "note": ""}
         for name in self.settings.metrics:
-            nothing |= {name: float("nan"), f"{name}_unscorable": 0}
+            nothing |= {name: float("nan"), f"{name}_unscorable": 0, f"{name}_reason": ""}
         costs = dict.fromkeys(("fit_seconds", "rollout_seconds", "peak_memory_mib", "peak_device_memory_mib"), float("nan"))
         return {**nothing, "frames": 0, **costs, **result, **about, **provenance(self.settings.device)}
 
@@ -237,8 +267,9 @@ class Runner:
         return digest(fit.method, method, sources, fit.seed, self.settings.preset, self.settings.device)
 
     def _row_key(self, fit_key: str, evaluation: Evaluation) -> str:
-        metrics = [(name, metric.version) for name, metric in self.settings.metrics.items()]
-        return digest(fit_key, evaluation.task, self._checksums[evaluation.target], metrics, code("metrics"))
+        metrics = [(name, metric.version, metric.unavailable() is None) for name, metric in self.settings.metrics.items()]
+        images = self._checksums.images(evaluation.target) if self.settings.images else ""
+        return digest(fit_key, evaluation.task, self._checksums[evaluation.target], images, metrics, code("metrics", "methods/appearance"))
 
     def _load(self, name: str) -> Scenario:
         scenario = self._loaded.get(name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .plan import TASKS
 from .results import Results
@@ -56,21 +56,27 @@ def blocks(results: Results) -> list[Block]:
             by_method: dict[str, list[dict]] = {}
             for row in rows:
                 by_method.setdefault(row["method"], []).append(row)
-            lines = [_line(method, rows, tuple(results.units)) for method, rows in by_method.items()]
+            lines = [_line(method, rows, tuple(results.units), results.pooled) for method, rows in by_method.items()]
             lines += _published(results, collection, task)
             shown = tuple(metric for metric in results.units if any(line.counts.get(metric) for line in lines))
             found.append(Block(collection, task, shown, tuple(lines)))
     return found
 
 
-def _line(method: str, rows: Sequence[dict], metrics: Sequence[str]) -> Line:
+def _line(method: str, rows: Sequence[dict], metrics: Sequence[str], pooled: Sequence[str]) -> Line:
     ok = [row for row in rows if row["status"] == "ok"]
-    values = {metric: [row[metric] for row in ok if math.isfinite(row[metric])] for metric in metrics}
-    means = {metric: sum(found) / len(found) if found else math.nan for metric, found in values.items()}
-    counts = {metric: len(found) for metric, found in values.items()}
+    found = {metric: [row for row in ok if not math.isnan(row[metric])] for metric in metrics}
+    means = {metric: _mean(metric, found[metric], metric in pooled) for metric in metrics}
+    counts = {metric: len(found[metric]) for metric in metrics}
     fits = {(row["sources"], row["seed"]): row["fit_seconds"] for row in rows if math.isfinite(row["fit_seconds"])}
     seconds = sum(fits.values()) / len(fits) if fits else math.nan
     return Line(method, means, counts, len(rows), len(ok), seconds)
+
+
+def _mean(metric: str, rows: Sequence[dict], pooled: bool) -> float:
+    """Mean of a column over rows, or over all the frames that they were scored in."""
+    weights = [row["frames"] - row[f"{metric}_unscorable"] if pooled else 1 for row in rows]
+    return sum(weight * row[metric] for weight, row in zip(weights, rows, strict=True)) / sum(weights) if rows else math.nan
 
 
 def _published(results: Results, collection: str, task: str) -> list[Line]:
@@ -85,7 +91,9 @@ def _published(results: Results, collection: str, task: str) -> list[Line]:
 
 
 def notes(results: Results) -> list[str]:
-    """One sentence for every twin of which its method says something, and for every group of rows that have no score."""
+    """One sentence for every twin of which its method says something, for every group of rows that have no score, and for every cause
+    of values that are missing in the others.
+    """
     groups: dict[tuple, list[dict]] = {}
     twins = {(row["collection"], row["method"], row["sources"], row["seed"]): row.get("note") for row in results.rows}
     for row in results.rows:
@@ -100,11 +108,28 @@ def notes(results: Results) -> list[str]:
         reasons = list(dict.fromkeys(row["reason"] for row in rows))
         where = ", ".join(row["where"] for row in rows[:3]) + (f" and {len(rows) - 3} more" if len(rows) > 3 else "")
         said.append(f"{collection}, {task}: {method} {status} in {len(rows)} (not in the means): {where}: {'; '.join(reasons[:3])}")
-    return said
+    return said + _without_value(results)
+
+
+def _without_value(results: Results) -> list[str]:
+    """One sentence for each set of rows and metrics that have no value for the same reasons."""
+    causes: dict[tuple, list[str]] = {}
+    for collection in dict.fromkeys(row["collection"] for row in results.rows):
+        ok = [row for row in results.rows if row["collection"] == collection and row["status"] == "ok"]
+        for metric in results.units:
+            empty = [i for i, row in enumerate(ok) if math.isnan(row[metric]) and row.get(f"{metric}_reason")]
+            reasons = tuple(dict.fromkeys(ok[i][f"{metric}_reason"] for i in empty))
+            if empty:
+                causes.setdefault((collection, tuple(empty), len(ok), reasons), []).append(metric)
+    return [
+        f"{collection}: no {', '.join(metrics)} in {len(empty)} of {count} rows: {'; '.join(reasons[:3])}"
+        for (collection, empty, count, reasons), metrics in causes.items()
+    ]
 
 
 def _header(block: Block, units: dict[str, str]) -> list[str]:
-    return ["method", *(f"{metric} [mm]" if units[metric] == "m" else metric for metric in block.metrics), "n", "fit [s]"]
+    shown = {"m": " [mm]", "": ""}
+    return ["method", *(metric + shown.get(units[metric], f" [{units[metric]}]") for metric in block.metrics), "n", "fit [s]"]
 
 
 def _cells(block: Block, line: Line, results: Results) -> list[tuple[str, bool]]:
@@ -130,16 +155,27 @@ def _caption(block: Block) -> str:
 
 
 def terminal(results: Results, *, width: int = 100) -> str:
-    """The tables as aligned text; the best of a column carries an asterisk. Names of columns are stacked where lines exceed ``width``."""
+    """The tables as aligned text; the best of a column carries an asterisk.
+
+    Names of columns are stacked where lines exceed ``width``, and what is no length comes below the lengths where that is not enough.
+    """
     parts = []
     for block in blocks(results):
-        header = _header(block, dict(results.units))
-        body = [[_aligned(text, best) for text, best in _cells(block, line, results)] for line in block.lines]
-        lines = _laid_out([name.split() for name in header], body)
-        if max(map(len, lines)) > width:
-            lines = _laid_out([name.replace("_", "_ ").split() for name in header], body)
+        lines = _fitting(block, results, width)
+        lengths = tuple(metric for metric in block.metrics if results.units[metric] == "m")
+        others = tuple(metric for metric in block.metrics if metric not in lengths)
+        if lengths and others and max(map(len, lines)) > width:
+            lines = [line for part in (lengths, others) for line in _fitting(replace(block, metrics=part), results, width)]
         parts.append("\n".join([_caption(block), *lines]))
     return "\n\n".join([*parts, "\n".join([_legend(results), *notes(results)])])
+
+
+def _fitting(block: Block, results: Results, width: int) -> list[str]:
+    """Lines of one table, with the names of columns stacked where it would be wider than ``width``."""
+    header = _header(block, dict(results.units))
+    body = [[_aligned(text, best) for text, best in _cells(block, line, results)] for line in block.lines]
+    lines = _laid_out([name.split() for name in header], body)
+    return lines if max(map(len, lines)) <= width else _laid_out([name.replace("_", "_ ").split() for name in header], body)
 
 
 def _laid_out(names: Sequence[Sequence[str]], body: list[list[str]]) -> list[str]:
@@ -162,9 +198,12 @@ def _joined(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 def _legend(results: Results) -> str:
-    higher = [metric for metric, direction in results.directions.items() if direction == "higher"]
+    shown = {metric for block in blocks(results) for metric in block.metrics}
+    higher = [metric for metric, direction in results.directions.items() if direction == "higher" and metric in shown]
     better = "Lower is better" + (f", except {', '.join(higher)}" if higher else "")
-    return f"Means over n rows (recordings x seeds). {better}; marked: the best of the methods with most rows."
+    pooled = [metric for metric in results.pooled if metric in shown]
+    frames = f" ({', '.join(pooled)}: over all their frames)" if pooled else ""
+    return f"Means over n rows (recordings x seeds){frames}. {better}; marked: the best of the methods with most rows."
 
 
 def markdown(results: Results) -> str:

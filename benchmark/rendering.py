@@ -1,0 +1,114 @@
+"""What cameras would see of a roll-out: one appearance per recording, whatever the method, and roll-outs that can be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from ..datasets.scenario import Camera, Images, Scenario
+from ..methods.base import Trajectory
+from ..metrics.base import Unscorable
+from .cache import Cache, digest
+from .checksum import code
+
+__all__ = ["Appearances", "Recent", "Shown", "appearance_class"]
+
+SEED = 0  # the appearance is the recording's, not a method's: all seeds of a run share it
+
+
+def appearance_class() -> type:
+    """The appearance that twins are shown with."""
+    from ..methods.appearance import Appearance
+
+    return Appearance
+
+
+class Appearances:
+    """The appearance of each recording in frame 0, fitted once by the views of that frame, and kept in the cache.
+
+    As in PhysTwin's evaluation (arXiv 2503.17973, section 5) every method's roll-out moves the same appearance of the recording it is
+    scored on, a transfer's the target's. ``kind()`` is its class: ``fit``, ``load``, ``save`` and ``animate`` as in ``methods/appearance``.
+    """
+
+    def __init__(self, cache: Cache, *, preset: str, device: str, kind: Callable[[], type] = appearance_class):
+        self._cache, self._preset, self._device, self._kind = cache, preset, device, kind
+        self._last: tuple[str, object] = ("", None)
+
+    def of(self, scenario: Scenario, checksums: tuple[str, str], progress: Callable[[str, float], None]):
+        """The appearance of ``scenario``; ``checksums`` are those of its arrays and of its images.
+
+        Raises Unscorable where it can have none, and whatever else stops a fit.
+        """
+        key = digest("appearance", checksums, code("methods/appearance"), SEED, self._preset, self._device)
+        if self._last[0] != key:
+            try:
+                self._last = (key, self._read(key) or self._fit(scenario, key, progress))
+            except ValueError as error:
+                self._last = (key, Unscorable(f"the recording has no appearance: {error}"))
+        found = self._last[1]
+        if isinstance(found, Unscorable):
+            raise Unscorable(str(found))
+        return found
+
+    def _fit(self, scenario: Scenario, key: str, progress):
+        options = {"preset": self._preset, "seed": SEED, "device": self._device, "progress": progress}
+        fitted = self._kind().fit(scenario.initial(), **options)
+        self._cache.write_folder("appearances", key, fitted.save, {})
+        return self._read(key) or fitted
+
+    def _read(self, key: str):
+        """The appearance as the cache holds it, so that a resumed run and an uninterrupted one draw the same."""
+        stored = self._cache.read_folder("appearances", key)
+        return self._kind().load(stored[0]) if stored else None
+
+
+@dataclass(frozen=True)
+class Shown(Trajectory):
+    """A roll-out that can be looked at. ``animate()`` gives what draws it, and is called when the first image is asked for.
+
+    Whatever goes wrong then is a reason why there are no images; where it may be gone another time, it is in ``faults``.
+    """
+
+    animate: Callable[[], object] = field(repr=False)
+    faults: list[str] = field(default_factory=list)
+    _kept: dict = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, trajectory: Trajectory, appearance: Callable[[], object]) -> Shown:
+        """``trajectory`` moving what ``appearance()`` gives."""
+        return cls(trajectory.positions, trajectory.counts, lambda: appearance().animate(trajectory))
+
+    @cached_property
+    def _animated(self):
+        return self.animate()
+
+    def image(self, camera: Camera, frame: int) -> np.ndarray:
+        """(H, W, 4) floats in [0, 1]: colour over black and opacity. The images of one frame are kept. Raises Unscorable."""
+        key = frame, camera.intrinsics.tobytes(), camera.camera_to_world.tobytes(), camera.width, camera.height
+        if self.faults:
+            raise Unscorable(self.faults[0])
+        if key not in self._kept:
+            if any(kept != frame for kept, *_ in self._kept):
+                self._kept.clear()
+            try:
+                self._kept[key] = self._animated.image(camera, frame)
+            except Unscorable:
+                raise
+            except Exception as error:  # memory, a full disk, a missing package: the other columns must still come
+                self.faults.append(f"the appearance cannot be drawn: {type(error).__name__}: {error}")
+                raise Unscorable(self.faults[0]) from error
+        return self._kept[key]
+
+
+class Recent:
+    """Images that keep the last one of each kind, so that metrics which look at one frame in turn read it once."""
+
+    def __init__(self, images: Images):
+        self._images = images
+        self.color, self.mask, self.human_mask = (lru_cache(maxsize=1)(read) for read in (images.color, images.mask, images.human_mask))
+
+    def __getattr__(self, name: str):
+        return getattr(self._images, name)
