@@ -20,7 +20,6 @@ __all__ = ["answer", "answers", "by_effect", "calibrate", "crossed", "decided", 
 LABELS = "labels.json"
 RIDGE = 0.02  # of the shared weights; effects' own biases are few cases each and get more
 RIDGE_BIAS = 0.15
-CLEAR = 0.010  # m RMS: an effect that moves the points by this is of clear size
 FOLDS = 8
 
 

@@ -26,6 +26,7 @@ NAMES = (
     *("ground_adhesion", "hidden_obstacle", "ground_pose", "self_contact", "hidden_tether", "grip_slip", "grip_compliance", "tearing"),
     *("rest_shape", "controller_delay", "camera_pose", "track_drift", "grip_points"),
 )
+LONG = 90  # frames: longer recordings get coarser replicas
 SEEN = 3.3  # standard errors: an effect of this size is noticed in 95 of 100 recordings at a level of 5 % (1.65 + 1.65)
 DEPARTS = 0.15  # of the extension's largest difference from the baseline: from then on it acts
 # effects that begin; the others act from the first frame
@@ -114,7 +115,7 @@ def diagnose(
             "clusters": _clusters(inquiry),
             "noise_floor": _noise_floor(inquiry),
             "notes": _notes(inquiry, decision),
-            "recordings": _recordings(inquiry, scenario),
+            "recordings": _recordings(inquiry),
             "readings": [{"effect": r.effect, "term": r.term, **r.features} for r in found],
             "context": around,
             "where_nodes": nodes,
@@ -132,9 +133,6 @@ def _affordable(preset: Preset, scenario: Scenario) -> Preset:
     """Fewer nodes where a recording is long, so that a diagnosis takes minutes."""
     frames = len(scenario.points)
     return replace(preset, nodes=int(max(60, preset.nodes * min(1.0, (LONG / frames) ** 0.5))))
-
-
-LONG = 90  # frames: longer recordings get coarser replicas
 
 
 def _noise_floor(inquiry):
@@ -373,7 +371,7 @@ def _notes(inquiry, decision):
     return said
 
 
-def _recordings(inquiry, scenario):
+def _recordings(inquiry):
     roles = ["case"] + ["transfer"] * inquiry.transfers + ["fitted_on"] * (len(inquiry.simulators) - 1 - inquiry.transfers)
     out = []
     for role, simulator in zip(roles, inquiry.simulators, strict=True):

@@ -161,20 +161,18 @@ def inquire(
     rivals = {k: score for k, score in elsewhere.items() if score is not None}
     fits = refit(task, base, [*chosen, learned, *rivals.values()], iterations=preset.steps, spacing=replicas[0].spacing)
     others = dict(zip(rivals, fits[2 + len(chosen) :], strict=True))
-    base = evaluate(wide, fits[0], None, parts)
-    yardstick = Refit(learned, evaluate(wide, fits[1 + len(chosen)], learned, parts), base)
+    base = evaluate(wide, fits[0], parts)
+    yardstick = Refit(learned, evaluate(wide, fits[1 + len(chosen)], parts), base)
     refits = []
     for k, (score, found) in enumerate(zip(chosen, fits[1 : 1 + len(chosen)], strict=True)):
         if k not in rivals:
-            refits.append(Refit(score, evaluate(wide, found, score, parts), base))
+            refits.append(Refit(score, evaluate(wide, found, parts), base))
             continue
 
         def blind(replica, pair=(score.hypothesis, rivals[k].hypothesis)):
             return np.union1d(*(h.follows(replica) for h in pair))
 
-        refits.append(
-            Refit(score, evaluate(wide, found, score, parts, leave=blind), evaluate(wide, others[k], rivals[k], parts, leave=blind))
-        )
+        refits.append(Refit(score, evaluate(wide, found, parts, leave=blind), evaluate(wide, others[k], parts, leave=blind)))
     return replace(inquiry, base=base, refits=refits, yardstick=yardstick)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from .fit import Fit, Task, fit
-from .hypotheses import Hypothesis
 from .model import Model
 from .replica import Replica
 from .screen import Part, Score
@@ -26,23 +25,13 @@ class Verdictable:
     """A fitted model and its errors.
 
     fit       where its fit ended
-    score     the linear score it came from; None for the baseline
     observed  by part, mean squared innovation under the observer [m^2]
     free      by part, mean error of the free-running simulation [m]
     """
 
     fit: Fit
-    score: Score | None
     observed: dict[str, float]
     free: dict[str, float]
-
-    @property
-    def hypothesis(self) -> Hypothesis | None:
-        return self.score.hypothesis if self.score else None
-
-    def gain(self, base: Verdictable, part: str) -> float:
-        """Share of the baseline's squared innovation that is gone."""
-        return 1 - self.observed[part] / max(base.observed[part], 1e-300)
 
 
 def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, spacing: float) -> list[Fit]:
@@ -93,9 +82,7 @@ def _best(task, model, starts):
     return starts[int(np.argmin(costs))]
 
 
-def evaluate(
-    task: Task, found: Fit, score: Score | None, parts: Sequence[Part], *, leave: Callable[[Replica], np.ndarray] | None = None
-) -> Verdictable:
+def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[Replica], np.ndarray] | None = None) -> Verdictable:
     """Errors of a fit on all parts: under the task's observer, and running free; nodes that ``leave`` names do not count."""
     observed, free = {}, {}
     runs = {}
@@ -116,4 +103,4 @@ def evaluate(
         squares, lengths = (((seen - x[part.first : part.last, judged]) ** 2).sum(-1)[there] for x in (watched, alone))
         observed[part.name] = float(squares.mean()) if len(squares) else float("nan")
         free[part.name] = float(np.sqrt(lengths).mean()) if len(lengths) else float("nan")
-    return Verdictable(found, score, observed, free)
+    return Verdictable(found, observed, free)

@@ -326,8 +326,3 @@ def _start_velocity(sightings, positions, fps):
     if np.sqrt((fast**2).mean()) < STILL * error * np.sqrt(3):
         return np.zeros_like(positions)
     return velocity
-
-
-def with_terms(replica: Replica, terms) -> System:
-    """The replica's system with physics."""
-    return replace(replica.system, terms=tuple(terms))

@@ -67,7 +67,9 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Decision:
-    """verdict and probabilities by effect ("adequate" and "unknown" among them); ``ranked`` effects, best first; the reading chosen."""
+    """verdict; effect named, or None; alternatives to it, best first; probabilities by effect ("adequate" and "unknown" among them);
+    the reading chosen, or None where no effect is named.
+    """
 
     verdict: str
     effect: str | None

@@ -161,8 +161,8 @@ def test_errors_of_parts_leave_out_the_nodes_that_may_not_judge(tiny):
     off[:, 7] += [0.03, 0, 0.04]  # one node of 20 was seen 5 cm away from where it was
     simulator = tiny.drawn(scenario, seen=off)
     task, base = Task([simulator], [30], 0.0), at_truth(tiny, simulator)
-    all_of_them = evaluate(task, base, None, PARTS)
-    without = evaluate(task, base, None, PARTS, leave=lambda replica: np.array([7]))
+    all_of_them = evaluate(task, base, PARTS)
+    without = evaluate(task, base, PARTS, leave=lambda replica: np.array([7]))
     assert all_of_them.free["heldout"] == pytest.approx(0.05 / 20, rel=1e-6)
     assert all_of_them.observed["heldout"] > 0 == pytest.approx(without.observed["heldout"], abs=1e-15)
     assert without.free["heldout"] < 1e-9
