@@ -1,0 +1,144 @@
+"""Training the network on windows of recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from .config import Config
+from .graph import edges, farthest_points
+from .network import Network
+from .windows import Clip
+
+__all__ = ["Sample", "collate", "draw", "loss", "train"]
+
+PADDED_EDGES = 900  # rows of the published edge arrays (500 to 1200), over which its means run
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One or several windows as one graph: body and tool nodes, N in all.
+
+    history  (H, N, 3) m, what the network sees
+    future   (F, N, 3) m, where nodes are in the next steps
+    actions  (F, N, 3) m, how far tools go in each step; 0 on the body
+    tool     (N,) bool
+    pairs    (2, E) senders and receivers
+    windows  how many
+    """
+
+    history: np.ndarray
+    future: np.ndarray
+    actions: np.ndarray
+    tool: np.ndarray
+    pairs: np.ndarray
+    windows: int = 1
+
+
+def draw(clip: Clip, window, config: Config, random) -> Sample:
+    """A ``window`` of ``clip`` with nodes drawn anew, turned about the vertical and with noise on its history."""
+    frames, seen = window
+    body = clip.points[frames][:, seen]
+    now = body[config.history - 1]
+    nodes = farthest_points(now, start=int(random.integers(len(now))), most=config.most_nodes)
+    nodes = nodes[farthest_points(now[nodes], start=int(random.integers(len(nodes))), radius=config.node_radius)]
+    states = np.concatenate([body[:, nodes], clip.tools[frames]], axis=1) @ _turn(random.uniform(-np.pi, np.pi))
+    tool = np.arange(states.shape[1]) >= len(nodes)
+    actions = np.diff(states[config.history - 1 :], axis=0) * tool[:, None]
+    history = states[: config.history]
+    history = history + random.uniform(-config.noise, config.noise, history.shape)
+    pairs = join(history[-1], tool, config)
+    return Sample(history, states[config.history :], actions, tool, pairs)
+
+
+def join(positions, tool, config: Config) -> np.ndarray:
+    """(2, E) the edges of a graph, body nodes first, with ``positions`` (N, 3) m and ``tool`` (N,) bool."""
+    options = dict(radius=config.adjacency, neighbours=config.neighbours, connect_all=config.connect_all)
+    return edges(positions[~tool], positions[tool], **options)
+
+
+def _turn(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def collate(samples) -> Sample:
+    """Several graphs as one, without padding."""
+    starts = np.cumsum([0, *(len(s.tool) for s in samples)])
+    return Sample(
+        *(np.concatenate([getattr(s, name) for s in samples], axis=1) for name in ("history", "future", "actions")),
+        np.concatenate([s.tool for s in samples]),
+        np.concatenate([s.pairs + start for s, start in zip(samples, starts, strict=False)], axis=1),
+        sum(s.windows for s in samples),
+    )
+
+
+def loss(network: Network, sample: Sample, config: Config, device: str = "cpu"):
+    """Squared error of positions plus ``length_weight`` times that of edge lengths [m^2], summed over the steps of one roll-out.
+
+    Gradients flow through all steps; the graph stays that of the first. Lengths are compared with those in the oldest step that the
+    network sees, which moves along.
+    """
+    quirks = config.quirks
+    dtype = next(network.parameters()).dtype
+    history, future, actions = (torch.as_tensor(a, dtype=dtype, device=device) for a in (sample.history, sample.future, sample.actions))
+    tool, pairs = torch.as_tensor(sample.tool, device=device), torch.as_tensor(sample.pairs, device=device)
+    body = (~tool).nonzero()[:, 0]
+    ends = pairs if quirks.origin_lengths else pairs[:, ~tool[pairs].any(dim=0)]
+    rows, lines = len(body), max(ends.shape[1], 1)
+    if quirks.diluted_loss:
+        rows, lines = sample.windows * config.most_nodes, sample.windows * PADDED_EDGES
+    at_origin = tool[:, None] & quirks.origin_lengths
+    total = 0.0
+    for target, action in zip(future, actions, strict=True):
+        step = network(history, action, tool, pairs)
+        step = torch.where(tool[:, None], target, step)
+        total = total + ((step - target)[body] ** 2).sum() / (3 * rows)
+        change = _lengths(step.masked_fill(at_origin, 0), ends) - _lengths(history[0].masked_fill(at_origin, 0), ends)
+        total = total + config.length_weight * (change**2).sum() / lines
+        history = torch.cat([history[1:], step[None]])
+    return total
+
+
+def _lengths(positions, pairs):
+    """(E,) lengths; self edges have length 0, where the root has no gradient."""
+    squared = ((positions[pairs[0]] - positions[pairs[1]]) ** 2).sum(dim=1)
+    return torch.where(squared > 0, squared, 1).sqrt() * (squared > 0)
+
+
+def train(clips, config: Config, *, seed: int = 0, device: str = "cpu", progress=None) -> Network:
+    """A network trained on windows drawn at random from all ``clips``. Raises RuntimeError where the loss is no longer finite."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = Network(config)
+    network = network.to(device)
+    random = np.random.default_rng(seed)
+    windows = [(clip, window) for clip in clips for window in clip.windows]
+    optimizer = torch.optim.Adam(network.parameters(), lr=config.rate)
+    with _repeatable():
+        for update in range(config.iterations):
+            drawn = [windows[k] for k in random.integers(len(windows), size=config.batch)]
+            sample = collate([draw(clip, window, config, random) for clip, window in drawn])
+            optimizer.zero_grad()
+            value = loss(network, sample, config, device)
+            value.backward()
+            optimizer.step()
+            if update % 50 == 0:
+                if not torch.isfinite(value):
+                    raise RuntimeError(f"the training loss is no longer finite in update {update}")
+                if progress is not None:
+                    progress("training", update / config.iterations)
+    return network.eval()
+
+
+class _repeatable:
+    """Sums over edges in a fixed order on CUDA too, while it lasts."""
+
+    def __enter__(self):
+        self._before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
+        torch.use_deterministic_algorithms(True, warn_only=True)
+
+    def __exit__(self, *_):
+        torch.use_deterministic_algorithms(self._before[0], warn_only=self._before[1])
