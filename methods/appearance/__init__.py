@@ -62,9 +62,14 @@ class Appearance:
         gaussians = fit_gaussians(views, points, colours, config, quirks, seed=seed, device=device, progress=progress)
         return cls(gaussians.to("cpu"), quirks, device)
 
-    def animate(self, trajectory: Trajectory) -> Animated:
-        """The Gaussians following a roll-out whose first frame is the body in frame 0."""
-        return Animated(self, trajectory)
+    def animate(self, trajectory: Trajectory, *, turn_harmonics: bool = False) -> Animated:
+        """The Gaussians following a roll-out whose first frame is the body in frame 0.
+
+        Colours stay as frame 0's cameras saw them from where they are, as published: light does not turn with a body, and harmonics fitted
+        to a few views say nothing about others. With ``turn_harmonics`` they turn with the body. Raises ValueError where the roll-out is
+        not finite.
+        """
+        return Animated(self, trajectory, turn_harmonics=turn_harmonics)
 
     def save(self, folder: str | Path) -> None:
         """Write ``gaussians.npz`` and ``appearance.json`` into ``folder``."""
@@ -90,23 +95,23 @@ class Appearance:
 class Animated:
     """Gaussians on a roll-out. Nothing is moved or drawn before it is asked for."""
 
-    def __init__(self, appearance: Appearance, trajectory: Trajectory):
+    def __init__(self, appearance: Appearance, trajectory: Trajectory, *, turn_harmonics: bool = False):
         from .skinning import Skinning
 
         gaussians = appearance.gaussians[appearance.gaussians.opacities > SOLID]
         self.frame_count = len(trajectory.positions)
+        self.turn_harmonics = turn_harmonics
         self._still = gaussians.to(appearance.device)
         self._skinning = Skinning(trajectory.positions, gaussians.positions, quirks=appearance.quirks, device=appearance.device)
 
     def gaussians(self, frame: int) -> Gaussians:
-        """The Gaussians in one frame. Colours stay as the world's cameras saw them in frame 0, as published: the light does not turn
-        with the body, and harmonics fitted to a few views say nothing about others. Raises IndexError beyond the roll-out.
-        """
+        """The Gaussians in one frame. Raises IndexError beyond the roll-out."""
         if not 0 <= frame < self.frame_count:
             raise IndexError(f"frame {frame} is not in the roll-out: there are frames 0 to {self.frame_count - 1}")
         still = self._still
-        positions = self._skinning.pose(frame).positions.to(still.positions)
-        return Gaussians(positions, still.log_scales, still.opacities, still.harmonics)
+        pose = self._skinning.pose(frame)
+        turns = pose.rotations.to(still.positions) if self.turn_harmonics else None
+        return Gaussians(pose.positions.to(still.positions), still.log_scales, still.opacities, still.harmonics, turns)
 
     def image(self, camera: Camera, frame: int) -> np.ndarray:
         """What ``camera`` sees of the body in ``frame``: RGBA (H, W, 4) float32 in 0..1, colours multiplied by alpha (over black)."""

@@ -16,7 +16,7 @@ class Quirks:
     """Where the reference implementation executes something else than its equations say. True is as published."""
 
     incremental: bool = True
-    """Each frame is skinned from the one before, by the bones nearest there, so errors add up; else from frame 0, by the bones of frame 0."""
+    """Each frame is skinned from the one before, by the bones nearest there, so errors add up; else from frame 0, by frame 0's bones."""
     unaligned_quaternions: bool = True
     """Rotations of bones are averaged as quaternions of either sign, so that two halves of one rotation may cancel."""
     shared_rank: bool = True
@@ -84,6 +84,6 @@ class Config:
 
 PRESETS = {
     # the published schedule shortened; opacity needs some 300 steps at its rate to come back from a reset, so there is none
-    "quick": Config(iterations=600, degree_every=100, densify_from=100, densify_every=50, positions_span=600, reset_every=None),
+    "quick": Config(iterations=600, degree_every=100, densify_from=100, densify_every=100, positions_span=600, reset_every=None),
     "full": Config(),
 }

@@ -61,6 +61,10 @@ class Gaussians:
         """The same on another device or of another floating type."""
         return Gaussians(*(None if v is None else v.to(*where) for v in self._values()))
 
+    def detach(self) -> Gaussians:
+        """The same values without their history."""
+        return Gaussians(*(None if v is None else v.detach().clone() for v in self._values()))
+
     def __getitem__(self, which) -> Gaussians:
         """Those that an index tensor or a mask names."""
         return Gaussians(*(None if v is None else v[which] for v in self._values()))
