@@ -34,6 +34,8 @@ class Run:
     """Score only these recordings. Default: all."""
     methods: Names = ("static", "rigid", "phystwin")
     """Methods to compare (see twinbench list), with spaces or commas between them."""
+    metrics: Names = ()
+    """Score only these (see twinbench list). Default: all. Without those of images no appearance is fitted, which is much faster."""
     tasks: Names = ("resimulation", "prediction", "transfer")
     """Any of: resimulation, prediction, transfer."""
     seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0,)
@@ -62,7 +64,7 @@ class Run:
             if not getattr(self, option):
                 raise ValueError(f"--{option} needs at least one value")
         _known("task", self.tasks, TASKS)
-        methods, metrics = _methods(self.methods), _metrics()
+        methods, metrics = _methods(self.methods), _metrics(self.metrics)
         settings, cache = Settings(methods, metrics, self.preset, self.device), Cache(default_cache())
         opened = [open_recordings(path, split=self.split, cache=cache) for path in dict.fromkeys(self.data)]
         _known("scenario", self.scenarios, list(dict.fromkeys(name for found in opened for name in found.collection.scenarios)))
@@ -377,16 +379,22 @@ def _folder(path: Path) -> Path:
 def _methods(names: Iterable[str]) -> dict:
     from ..methods.registry import methods
 
-    found = methods()
-    names = [name for entry in names for name in entry.split(",") if name]
-    _known("method", names, found)
-    return {name: found[name] for name in dict.fromkeys(names)}
+    return _chosen("method", names, methods())
 
 
-def _metrics() -> dict:
+def _metrics(names: Iterable[str] = ()) -> dict:
+    """The metrics of these names; all where there are none."""
     from ..metrics.base import metrics
 
-    return metrics()
+    found = metrics()
+    return _chosen("metric", names, found) if names else found
+
+
+def _chosen(kind: str, names: Iterable[str], found: dict) -> dict:
+    """Those of ``found`` that are named, with commas between names or not."""
+    names = [name for entry in names for name in entry.split(",") if name]
+    _known(kind, names, found)
+    return {name: found[name] for name in dict.fromkeys(names)}
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -78,11 +78,20 @@ def test_scenarios_tasks_and_seeds_are_chosen(cases, capsys):
     assert len(lines) == 1 + 2 * 2 and all("lift_twice" in line and ",prediction," in line for line in lines[1:])
 
 
+def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
+    # the sample has images, and the baselines need no time
+    assert run("--metrics", "chamfer,track_error", "--out", "o") == 0
+    header = Path("o/table.md").read_text().splitlines()[2]
+    assert header == "| method | chamfer [mm] | track_error [mm] | n | fit [s] |"
+    assert not list(Path("cache").glob("appearances*"))
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, picture, check, download, list"),
         (["run", "--methods", "ridgid"], "unknown method 'ridgid'; did you mean 'rigid'?"),
+        (["run", "--metrics", "chamfre"], "unknown metric 'chamfre'; did you mean 'chamfer'?"),
         (["run", "--tasks", "predictoin"], "unknown task 'predictoin'; did you mean 'prediction'?"),
         (["run", "--preset", "ful"], "unknown preset 'ful'; did you mean 'full'? known: quick, full"),
         (["run", "--device", "cuda:0"], "unknown device 'cuda:0'; did you mean 'cuda'? known: cpu, cuda"),

@@ -13,7 +13,7 @@ from twinbench.benchmark.plan import plan
 from twinbench.benchmark.runner import Settings
 from twinbench.datasets.scenario import Scenario, Split
 from twinbench.methods.registry import methods
-from twinbench.metrics.base import metrics
+from twinbench.metrics.base import get_metric
 
 
 @pytest.fixture(autouse=True)
@@ -77,7 +77,7 @@ def test_a_picture_shows_what_a_run_scores(tmp_path):
     # the mean of the drawn curve over the test frames is the row's figure, whoever fitted the twin
     cache = Cache(tmp_path / "cache")
     opened = open_recordings("sample", split="published", cache=cache)
-    known = metrics()
+    known = {"chamfer": get_metric("chamfer")}
     player = Player(opened, Settings({"rigid": methods()["rigid"]}, known), cache)
     rollouts, fitted = player.play_all("plush_drag", 0, lambda label, fraction: None)
     scenario = opened.collection.load("plush_drag")
@@ -91,7 +91,7 @@ def test_a_transfer_target_has_no_fitted_frames(tmp_path):
     cache = Cache(tmp_path / "cache")
     opened = open_recordings("sample", split="published", cache=cache)
     opened = replace(opened, collection=replace(opened.collection, in_domain=()))
-    settings = Settings({name: methods()[name] for name in ("static", "rigid")}, metrics())
+    settings = Settings({name: methods()[name] for name in ("static", "rigid")}, {"chamfer": get_metric("chamfer")})
     rollouts, fitted = Player(opened, settings, cache).play_all("plush_lift", 0, lambda label, fraction: None)
     assert not fitted and list(rollouts) == ["static", "rigid"]
     np.testing.assert_allclose(rollouts["static"].tracked[0], opened.collection.load("plush_lift").points[0], atol=1e-7)
