@@ -37,7 +37,8 @@ class Config:
     history, future  steps that the network sees, and steps that a loss runs over
     most_points      points of the body of which nodes may be made in a roll-out
     most_nodes       nodes of the body at most
-    node_radius      distance [m] from a point of the body to the nearest node at most; also of controllers to their tool node
+    node_radius      distance [m] from a point of the body to the nearest node at most
+    tool_radius      distance [m] within which controllers make up one tool node: a hand's size
     adjacency        distance [m] below which nodes are joined
     neighbours       nearest nodes that a node listens to at most, itself among them
     connect_all      every tool node is joined to every node of the body; else only within ``adjacency``
@@ -59,6 +60,7 @@ class Config:
     most_points: int = 1000
     most_nodes: int = 100
     node_radius: float = 0.03
+    tool_radius: float = 0.1
     adjacency: float = 0.08
     neighbours: int = 6
     connect_all: bool = True

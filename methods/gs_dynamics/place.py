@@ -66,5 +66,5 @@ def cells(controllers, radius: float) -> np.ndarray:
 
 
 def tool_nodes(controllers, belongs) -> np.ndarray:
-    """(T, K, 3) m mean of each cell's controllers (T, C, 3): the noise of single hand points averages out, a hand's turn does not."""
+    """(T, K, 3) m mean of each cell's controllers (T, C, 3): the noise of single hand points averages out."""
     return np.stack([controllers[:, belongs == k].mean(axis=1) for k in range(belongs.max() + 1)], axis=1)

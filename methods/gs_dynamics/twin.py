@@ -48,7 +48,7 @@ class GSDynamicsTwin(Twin):
         """Frames (S,) in which a step is made, 0 first, and the particles' positions (S, M, 3) m then."""
         place, upright = self.place, self.place.upright
         random = np.random.default_rng(self.seed)
-        tools = tool_nodes(upright.local(controllers), cells(place.controllers, self.config.node_radius))
+        tools = tool_nodes(upright.local(controllers), cells(place.controllers, self.config.tool_radius))
         state = upright.local(place.structure)
         points = farthest_points(state[: place.counts[0]], most=self.config.most_points)
         frames, states, history = [0], [place.structure], [(state, tools[0])] * self.config.history

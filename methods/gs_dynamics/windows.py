@@ -41,7 +41,7 @@ def prepare(observed: Observed, config: Config) -> Clip:
         seen = seen & usual_paths(points, seen)
     if config.quirks.smoothed_tracks:
         points = smooth(points, seen)
-    tools = tool_nodes(controllers, cells(place.controllers, config.node_radius))
+    tools = tool_nodes(controllers, cells(place.controllers, config.tool_radius))
     later, earlier = steps(tools, config.threshold)
     windows = []
     for t in range(frames):
