@@ -12,12 +12,12 @@ __all__ = ["METRICS", "CorrectedIoU", "IoU", "intersection_over_union"]
 def intersection_over_union(first, second) -> float:
     """``|A and B| / |A or B|`` of two masks (H, W). NaN where both are empty.
 
-    >>> intersection_over_union([[1, 1], [0, 0]], [[1, 0], [1, 0]]) == 1 / 3
-    True
+    >>> intersection_over_union([[1, 1], [0, 0]], [[1, 0], [0, 0]])
+    0.5
     """
     first, second = np.asarray(first, bool), np.asarray(second, bool)
     union = np.count_nonzero(first | second)
-    return np.count_nonzero(first & second) / union if union else float("nan")
+    return float(np.count_nonzero(first & second) / union) if union else float("nan")
 
 
 class IoU(ImageMetric):
