@@ -118,12 +118,12 @@ def test_unseen_points_never_enter_a_window():
             assert np.isfinite(sample.history).all() and apart.max() < 0.1
 
 
-def test_a_motion_that_is_not_valid_leaves_the_point_out_of_windows_across_it():
+def test_a_motion_that_is_not_valid_leaves_the_point_out_of_windows_that_start_it():
     observed = block([[1, 0, 0]])
     valid = observed.motion_valid.copy()
-    valid[20, 3] = False  # between frames 20 and 21
+    valid[20, 3] = False  # from frame 20 to frame 21; every frame is a step
     for frames, points in prepare(replace(observed, motion_valid=valid), SMALL).windows:
-        assert (3 in points) == (frames[0] > 20 or frames[-1] <= 20)
+        assert (3 in points) == (frames[0] > 20 or frames[-1] <= 20) and 4 in points
 
 
 def test_too_little_seen_is_refused_with_the_scenario():

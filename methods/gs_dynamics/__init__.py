@@ -28,8 +28,8 @@ class GSDynamics(Method):
     - Step: the tool node that moved most has travelled ``threshold``; a norm over all nodes would grow with their number.
     - Windows: one for each train frame, none left for validation. They end with the train frames; where the tool travels no further, the
       last frame taken repeats, that is with no action and no motion. The smoothing and the filter of tracks are switches in ``Quirks``.
-    - Tracks: nodes are drawn from the points seen in all frames of a window whose motion is valid from its first to its last frame. In a
-      roll-out they are drawn from the tracked points, since only these were trained on; surface and interior points are only carried.
+    - Tracks: nodes are drawn from the points that are seen in all eight frames of a window, and whose motion from there on is valid in all
+      but its last. In a roll-out they are drawn from the tracked points, as in training; surface and interior points are only carried.
     - Axes: z is up, from the ground's normal or else gravity, and 0 on the ground, so that recordings with other axes can be joined.
     - Length term: edges within the body alone, weight 0.1 (published for ropes and cloths); nodes 3 cm, adjacency 8 cm, 6 neighbours.
     - Transfer: the network as it is, on the target's own particles; nothing is registered.

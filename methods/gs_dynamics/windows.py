@@ -46,7 +46,7 @@ def prepare(observed: Observed, config: Config) -> Clip:
     windows = []
     for t in range(frames):
         indices = window(t, later, earlier, history=config.history, future=config.future)
-        kept = seen[indices].all(axis=0) & observed.motion_valid[indices[0] : indices[-1]].all(axis=0)
+        kept = seen[indices].all(axis=0) & observed.motion_valid[indices[indices < indices[-1]]].all(axis=0)
         if kept.sum() > 1:
             windows.append((indices, np.flatnonzero(kept)))
     return Clip(points, tools, tuple(windows))
