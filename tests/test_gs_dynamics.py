@@ -494,9 +494,9 @@ def test_controllers_of_another_number_are_refused(carried):
         twin.rollout(observed.controllers[:, :2])
 
 
-def test_radii_grow_where_particles_are_sparse():
-    dense, sparse = block([[1, 0, 0]]), block([[1, 0, 0]])
-    sparse = replace(sparse, points=10 * sparse.points)  # every 15 cm
+def test_radii_grow_where_tracked_points_are_sparse():
+    dense = block([[1, 0, 0]])
+    sparse = replace(dense, points=10 * dense.points, interior=dense.points[0])  # tracked every 15 cm; what lies between is not tracked
     config = GSDynamics().config("quick", dense)
     assert (config.node_radius, config.adjacency) == (0.03, 0.08)
     config = GSDynamics().config("quick", sparse)

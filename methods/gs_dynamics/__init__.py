@@ -61,9 +61,9 @@ class GSDynamics(Method):
         return GSDynamicsTwin(network, Place.of(observed[0]), config, seed, device)
 
     def config(self, preset: str, observed) -> Config:
-        """What a preset means on a recording: radii grow where particles lie farther apart than nodes, as markers on a cable do."""
-        config = self.presets[preset]
-        scale = max(1.0, observed.spacing / config.node_radius)
+        """What a preset means on a recording: radii grow where tracked points lie farther apart than nodes, as markers on a cable do."""
+        config, none = self.presets[preset], np.zeros((0, 3))
+        scale = max(1.0, replace(observed, surface=none, interior=none).spacing / config.node_radius)
         return replace(config, node_radius=config.node_radius * scale, adjacency=config.adjacency * scale)
 
     def skip(self, scenario) -> str | None:
