@@ -1,7 +1,7 @@
 """Appearance: the renderer against closed forms and a per-pixel loop, skinning against rigid motions, the fit against the sample."""
 
 from dataclasses import replace
-from math import exp, log
+from math import atan2, degrees, exp, log
 
 import numpy as np
 import pytest
@@ -171,6 +171,12 @@ def test_halved_images_are_the_same_to_value_and_gradient():
         assert (whole - halved).abs().max() < 1e-11 * whole.abs().max()
 
 
+def test_no_gaussian_stops_all_light():
+    # however opaque and wide, one lets 0.1 % through, so that what is behind it can still be fitted
+    camera = Camera([[80, 0, 15], [0, 80, 10], [0, 0, 1]], np.eye(4), 32, 20)
+    assert render(plain([[0, 0, 1]], [0.1], [1.0], [[1, 1, 1]]), camera)[10, 15, 3].item() == pytest.approx(0.999, abs=1e-12)
+
+
 def test_nothing_before_the_camera_is_a_blank_image():
     behind = plain([POSE[:3, 3] - 0.5 * TURN[:, 2]], [0.1], [0.9], [[1, 1, 1]])
     for gaussians in (behind, behind[torch.tensor([], dtype=torch.long)]):
@@ -202,11 +208,13 @@ def rotation(seed=0, angle=None):
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
+@pytest.mark.parametrize("flat", [1.0, 0.0], ids=["body", "sheet"])
 @pytest.mark.parametrize("quirks", [CORRECTED, replace(AS_PUBLISHED, unaligned_quaternions=False)], ids=["corrected", "incremental"])
-def test_a_rigid_motion_moves_points_rigidly(quirks):
-    # x -> R x + t of all bones is R x + t of every point, exactly: float64 rounding
+def test_a_rigid_motion_moves_points_rigidly(quirks, flat):
+    # x -> R x + t of all bones is R x + t of every point, exactly: float64 rounding. In a flat sheet neighbours fix a rotation up to a
+    # mirroring only
     rng = np.random.default_rng(1)
-    bones, points = rng.uniform(0, 0.2, (80, 3)), rng.uniform(-0.05, 0.25, (30, 3))
+    bones, points = rng.uniform(0, 0.2, (80, 3)) * [1, 1, flat], rng.uniform(-0.05, 0.25, (30, 3))
     turns, shifts = [np.eye(3), rotation(2), rotation(3)], [np.zeros(3), np.array([0.1, 0, 0.3]), np.array([0, 2.0, 0])]
     skinning = Skinning([bones @ r.T + t for r, t in zip(turns, shifts, strict=True)], points, quirks=quirks)
     for frame in (2, 0, 1):
@@ -217,15 +225,15 @@ def test_a_rigid_motion_moves_points_rigidly(quirks):
 
 
 def test_a_bone_without_a_rotation_of_its_own_does_not_disturb_others():
-    # bones 0 to 16 lie in one point and 17 to 33 on a line, far from the block of bones 34 to 113 that turns by R
+    # bones 0 to 16 lie in one point, but for a micrometre, and 17 to 33 on a line, far from the block of bones 34 to 113 that turns by R
     rng = np.random.default_rng(4)
     block, line = rng.uniform(0, 0.2, (80, 3)), np.outer(np.linspace(0, 0.3, 17), [1.0, 0, 0])
-    bones = np.concatenate([np.full((17, 3), 5.0), line + 9.0, block])
+    bones = np.concatenate([5 + 1e-6 * rng.normal(size=(17, 3)), line + 9.0, block])
     turn = rotation(5)
     now = bones @ turn.T
     skinning = Skinning([bones, now], block)
     turns = bone_rotations(*skinning.bones, skinning.neighbours)
-    assert torch.equal(turns[0], torch.eye(3, dtype=torch.float64))
+    assert torch.equal(turns[:17], torch.eye(3, dtype=torch.float64).repeat(17, 1, 1))
     assert (turns[34:] - torch.tensor(turn)).abs().max() < 1e-9
     assert np.abs(skinning.pose(1).positions.numpy() - block @ turn.T).max() < 1e-9
     # on the line: the smallest rotation that takes it to where it is; its axis is across both directions, and it is a rotation
@@ -236,6 +244,32 @@ def test_a_bone_without_a_rotation_of_its_own_does_not_disturb_others():
         assert abs(float(r.trace()) - (1 + 2 * float(x[0]))) < 1e-9  # trace R = 1 + 2 cos(angle)
     published = bone_rotations(*skinning.bones, skinning.neighbours, shared_rank=True)
     assert torch.equal(published, torch.eye(3, dtype=torch.float64).repeat(114, 1, 1))
+
+
+def test_as_published_a_single_bone_on_a_line_lends_its_rotation():
+    rng = np.random.default_rng(8)
+    bones = torch.tensor(np.concatenate([np.outer(np.arange(5), [0, 0.1, 0]), rng.uniform(1, 2, (20, 3))]))
+    turn = torch.tensor(rotation(9))
+    neighbours = torch.tensor([[1, 2, 3, 4]] + [[5, 6, 7, 8]] * 4 + [[(5 + (k + j) % 20) for j in range(1, 5)] for k in range(20)])
+    alone, lent = (bone_rotations(bones, bones @ turn.T, neighbours, shared_rank=shared) for shared in (False, True))
+    assert (lent - alone[0]).abs().max() == 0 and (alone[5:] - turn).abs().max() < 1e-9 and (alone[0] - turn).abs().max() > 0.01
+
+
+def test_rotations_are_averaged_with_one_sign():
+    # two blocks turn by -89 and -91 degrees about x: as quaternions (w, x) near (0.7, -0.7) and (-0.7, 0.7), which cancel unless aligned;
+    # a point halfway between them turns by an angle between
+    rng = np.random.default_rng(10)
+    block = 0.05 * rng.uniform(-1, 1, (17, 3))
+    turns = [np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]]) for a in np.radians([-89, -91])]
+    shift = np.array([0.1, 0, 0])
+    bones = np.concatenate([block - shift, -block + shift])
+    now = np.concatenate([block @ turns[0].T - shift, -block @ turns[1].T + shift])
+    aligned, unaligned = (
+        Skinning([bones, now], np.zeros((1, 3)), quirks=replace(CORRECTED, unaligned_quaternions=quirk)).pose(1).rotations[0]
+        for quirk in (False, True)
+    )
+    assert -91 < degrees(2 * atan2(aligned[1], aligned[0])) < -89
+    assert not torch.allclose(aligned, unaligned, atol=0.1) and not torch.allclose(aligned, -unaligned, atol=0.1)
 
 
 def test_a_line_turned_about_is_half_a_turn():
@@ -302,6 +336,38 @@ def test_the_loss_of_a_perfect_image_is_zero_unless_as_published():
     seen, drawn = seen_block()
     assert float(view_loss(*drawn, seen, Config(), CORRECTED)) == pytest.approx(0, abs=1e-12)
     assert float(view_loss(*drawn, seen, Config(), AS_PUBLISHED)) > 1e-3  # the prediction is blanked under the hand, what is seen is not
+
+
+def test_pixels_without_depth_count_only_as_published():
+    # 16 of 900 pixels of the object have no depth: 1e-3 x 0.7 m x 16 / 900 where that counts as 0 m
+    seen, drawn = seen_block()
+    seen["depth"][9:13, 14:18] = 0
+    assert float(view_loss(*drawn, seen, Config(), CORRECTED)) == pytest.approx(0, abs=1e-12)
+    everywhere = float(view_loss(*drawn, seen, Config(), replace(CORRECTED, depth_everywhere=True)))
+    seen["depth"] = drawn[2].clone()
+    assert everywhere - float(view_loss(*drawn, seen, Config(), replace(CORRECTED, depth_everywhere=True))) == pytest.approx(
+        1e-3 * 0.7 * 16 / 900, rel=1e-6
+    )
+
+
+def test_the_structure_of_the_silhouette_counts_unless_as_published():
+    # colours as seen, alpha blank: 0.8 mean |mask| alone as published, and more where alpha's SSIM is in it
+    seen, (colour, alpha, depth) = seen_block()
+    free = (seen["mask"] & ~seen["human"]).double()
+    blank = torch.zeros_like(alpha)
+    assert float(view_loss(colour, blank, depth, seen, Config(), replace(CORRECTED, colour_silhouette=True))) == pytest.approx(
+        0.8 * float(free.mean()), rel=1e-9
+    )
+    with_structure = 0.8 * free.mean() + 0.2 * (1 - ssim(blank, free[..., None]))
+    assert float(view_loss(colour, blank, depth, seen, Config(), CORRECTED)) == pytest.approx(float(with_structure), rel=1e-9)
+
+
+def test_the_human_region_is_widened_by_a_share_of_the_image(sample):
+    # 8 of 848 pixels are less than one of 54; as published 8 whatever the width: 7 more columns and rows than the region spans
+    raw = sample.images.human_mask(0, 0)
+    scaled, fixed = (frame_zero(sample.observed(), PRESETS["quick"], quirks)[0].human for quirks in (CORRECTED, AS_PUBLISHED))
+    assert np.array_equal(scaled, raw)
+    assert fixed.any(0).sum() == raw.any(0).sum() + 7 and (fixed | ~raw).all()
 
 
 def test_what_is_under_the_hand_gives_no_gradient():
