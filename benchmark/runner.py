@@ -100,16 +100,8 @@ class Runner:
         device_name(self.settings.device)  # raises where it is not there
         try:
             method = self._method(fit.method)
-        except Stopped as stopped:
-            yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)
-            return
-        if method.skip_transfer:
-            refused = [evaluation for evaluation in evaluations if evaluation.task == "transfer"]
-            yield from ((evaluation, self._row({"status": "skipped", "reason": method.skip_transfer}, {})) for evaluation in refused)
-            evaluations = [evaluation for evaluation in evaluations if evaluation not in refused]
-            if not evaluations:
-                return
-        try:
+            if method.skip_transfer and all(evaluation.task == "transfer" for evaluation in evaluations):
+                raise Stopped(status="skipped", reason=method.skip_transfer)  # nothing asks for the twin
             self._held = [self._load(name) for name in fit.sources]  # for the next method on the same sources
             self._refuse(method, self._held)
             twin, about = self._twin(method, fit, fit_key, report)
@@ -186,6 +178,8 @@ class Runner:
                 continue
             about = {name: about[name] for name in ("fit_seconds", "peak_memory_mib", "peak_device_memory_mib", "note")}
             try:
+                if transfer and method.skip_transfer:
+                    raise Stopped(status="skipped", reason=method.skip_transfer)
                 if transfer:
                     self._refuse(method, [target])
                 trajectory, about = self._roll_out(twin, about, target, transfer)

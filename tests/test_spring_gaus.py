@@ -680,7 +680,7 @@ def test_every_row_has_a_score_or_a_reason(tmp_path):
     one = recording("one")
     found = {
         "one": one,
-        "two": replace(one, name="two"),
+        "two": replace(one, name="two", gravity=[0.0, 0.0, 9.7]),
         "blind": replace(one, name="blind", images=None),
         "dark": replace(one, name="dark", images=replace(one.images, empty=((0, 0), (1, 0)))),
         "wild": replace(one, name="wild", fps=2.0),
@@ -710,4 +710,5 @@ def test_every_row_has_a_score_or_a_reason(tmp_path):
     for source in ("one", "two"):
         row = rows[source, "transfer"]
         assert row["status"] == "skipped" and "another recording" in row["reason"] and np.isnan(row["track_error"])
+    assert rows["one", "transfer"]["note"] == rows["one", "prediction"]["note"]  # what is said of a twin is said in all of its rows
     assert np.isnan(rows["two", "transfer"]["fit_seconds"])  # nothing is fitted that nothing asks for
