@@ -22,9 +22,9 @@ class GSDynamics(Method):
     What neither paper nor code settles for recordings with hands, and what is chosen here:
 
     - Tool nodes: one per hand, the mean of its controllers. Whose point each is, no recording says, so controllers are gathered around
-      farthest points within ``tool_radius``. One node per controller would bring in every hand point's noise and sums over 30 messages
-      that grow with their number; on the sample, already 5 nodes per hand do worse. How a hand turns is lost, as with the published single
-      end effector. Every tool node is joined to all nodes of the body, as published for cloths and toys.
+      farthest points within ``tool_radius``. One node per controller would bring in every hand point's noise, and sums over messages that
+      grow with the number of controllers. How a hand turns is lost, as with the published single end effector. Every tool node is joined
+      to all nodes of the body, as published for cloths and toys.
     - Step: the tool node that moved most has travelled ``threshold``; a norm over all nodes would grow with their number.
     - Windows: one for each train frame, none left for validation. They end with the train frames; where the tool travels no further, the
       last frame taken repeats, that is with no action and no motion. The smoothing and the filter of tracks are switches in ``Quirks``.
