@@ -5,6 +5,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from skimage.metrics import structural_similarity
 from twinbench.benchmark.cache import Cache
@@ -182,6 +184,28 @@ def built(*, hands=None, count=24, random=0, points=None):
     points = block() if points is None else points
     options = dict(anchors=count, neighbours=20, bound=16, least=21, random=np.random.default_rng(random))
     return build(points, np.zeros((0, 3)) if hands is None else hands, **options)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(30, 200), st.integers(21, 80), st.floats(1e-3, 1.0), st.integers(0, 3))
+def test_whatever_the_points_a_body_is_whole(seed, count, anchors, size, hands):
+    random = np.random.default_rng(seed)
+    points = random.normal(0, size, (count, 3))
+    held = points[:hands] + random.normal(0, 0.01, (hands, 3))
+    try:
+        made = build(points, held, anchors=anchors, neighbours=20, bound=16, least=21, random=random)
+    except ValueError as error:
+        assert len(voxels(points, 0.001)) < 21 and "too few voxels" in str(error)
+        return
+    assert len(np.unique(made.anchors, axis=0)) == len(made.anchors) <= anchors
+    # half a voxel of 1 cm along each axis, and rounding
+    assert cdist(made.anchors, points, "chebyshev").min(1).max() <= 0.005 + 1e-9
+    assert (made.neighbours != np.arange(len(made.anchors))[:, None]).all() and (made.rest > 0).all()
+    np.testing.assert_allclose(made.weights.sum(1), 1)
+    assert made.pull_rest.shape == (len(made.pulls),) and (made.pull_rest < 0.04).all() and (np.bincount(made.pulls[:, 1]) <= 50).all()
+    x = tensor(made.anchors)
+    _, v = model(made).frame(x, 0 * x, material(len(x), dtype=DOUBLE), tensor(held), tensor(held), 2)
+    assert v.abs().max() < 1e-6  # where it was built it is at rest
 
 
 def test_the_cloud_contracts_where_it_follows_positions_and_not_where_it_follows_displacements():
@@ -560,6 +584,12 @@ def test_recordings_that_cannot_be_learned_from_are_skipped_with_a_reason():
     assert "empty in every view" in method.skip(replace(one, images=empty))
     assert method.skip(recording(points=block((5, 2, 2)))) == "too few voxels: at least 21 are needed, and the body occupies 20 of 1 mm"
     assert "too few voxels: at least 256" in SpringGausAsPublished().skip(one)
+
+
+def test_nobody_need_be_there():
+    one = replace(recording(), controllers=np.zeros((FRAMES, 0, 3)), grips=np.zeros(0, int))
+    twin = fit(one)
+    assert twin.status == "no control spring" and np.isfinite(twin.rollout(one.controllers).positions).all()
 
 
 def test_one_camera_will_do_and_so_will_masks_that_are_missing_later():

@@ -26,8 +26,8 @@ class SpringGausTwin(Twin):
     perceptual whether the loss had its VGG term
 
     Frame 0 of a roll-out is the recording's own. From frame 1 on Gaussians stand where their anchors put them, so with
-    ``config.contracted`` the cloud contracts between the two; published files hold the contracted cloud in frame 0 as well, which is not
-    scored.
+    ``config.contracted`` the cloud contracts between the two; published files hold the contracted cloud in frame 0 as well, so there
+    tracks are matched with it.
     """
 
     body: Body
@@ -45,7 +45,7 @@ class SpringGausTwin(Twin):
 
     @property
     def status(self) -> str:
-        """ "ok", "cap reached" or "no control spring": how the fit ended. A roll-out may still be non-finite or explode."""
+        """How the fit ended: "ok", "cap reached" or "no control spring". A roll-out may still be non-finite or explode, which it raises."""
         if self.capped is not None:
             return "cap reached"
         return "ok" if len(self.body.pulls) else "no control spring"
