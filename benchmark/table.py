@@ -27,12 +27,13 @@ class Line:
 
 @dataclass(frozen=True)
 class Block:
-    """One task of one collection: a table."""
+    """One task of one collection: a table. ``equal`` are corrected metrics that say the same as those as published, and are left out."""
 
     collection: str
     task: str
     metrics: tuple[str, ...]
     lines: tuple[Line, ...]
+    equal: tuple[str, ...] = ()
 
     def best(self, metric: str, direction: str) -> set[str]:
         """Methods with the best mean among those that were scored as often as any; none where there is nothing to compare."""
@@ -59,8 +60,27 @@ def blocks(results: Results) -> list[Block]:
             lines = [_line(method, rows, tuple(results.units), results.pooled) for method, rows in by_method.items()]
             lines += _published(results, collection, task)
             shown = tuple(metric for metric in results.units if any(line.counts.get(metric) for line in lines))
-            found.append(Block(collection, task, shown, tuple(lines)))
+            equal = tuple(metric for metric in shown if _repeats(metric, lines))
+            found.append(Block(collection, task, tuple(metric for metric in shown if metric not in equal), tuple(lines), equal))
     return found
+
+
+CORRECTED = "_corrected"  # ends the name of a metric whose formula is applied as published under the name before it
+
+
+def _repeats(metric: str, lines: Sequence[Line]) -> bool:
+    """Whether a corrected metric says what the same metric says as published, in every line of ours."""
+    published, ours = metric.removesuffix(CORRECTED), [line for line in lines if not line.published]
+    if published == metric or any(published not in line.means for line in ours):
+        return False
+    return all(
+        line.counts[metric] == line.counts[published] and (not line.counts[metric] or _same(line.means[metric], line.means[published]))
+        for line in ours
+    )
+
+
+def _same(a: float, b: float) -> bool:
+    return math.isclose(a, b, rel_tol=1e-9)  # sums of the same numbers in another order
 
 
 def _line(method: str, rows: Sequence[dict], metrics: Sequence[str], pooled: Sequence[str]) -> Line:
@@ -108,7 +128,7 @@ def notes(results: Results) -> list[str]:
         reasons = list(dict.fromkeys(row["reason"] for row in rows))
         where = ", ".join(row["where"] for row in rows[:3]) + (f" and {len(rows) - 3} more" if len(rows) > 3 else "")
         said.append(f"{collection}, {task}: {method} {status} in {len(rows)} (not in the means): {where}: {'; '.join(reasons[:3])}")
-    return said + _without_value(results)
+    return said + _without_value(results) + _left_out(results)
 
 
 def _without_value(results: Results) -> list[str]:
@@ -124,6 +144,21 @@ def _without_value(results: Results) -> list[str]:
     return [
         f"{collection}: no {', '.join(metrics)} in {len(empty)} of {count} rows: {'; '.join(reasons[:3])}"
         for (collection, empty, count, reasons), metrics in causes.items()
+    ]
+
+
+def _left_out(results: Results) -> list[str]:
+    """One sentence for each collection's columns that would repeat others, for all its tasks or by task."""
+    tasks: dict[tuple[str, tuple[str, ...]], list[str]] = {}
+    found = blocks(results)
+    for block in found:
+        if block.equal:
+            tasks.setdefault((block.collection, block.equal), []).append(block.task)
+    counts = {collection: sum(block.collection == collection for block in found) for collection, _ in tasks}
+    return [
+        f"{collection}{'' if len(among) == counts[collection] else ', ' + ', '.join(among)}: {', '.join(equal)} not shown: "
+        f"equal to {', '.join(metric.removesuffix(CORRECTED) for metric in equal)}"
+        for (collection, equal), among in tasks.items()
     ]
 
 
@@ -202,7 +237,7 @@ def _legend(results: Results) -> str:
     higher = [metric for metric, direction in results.directions.items() if direction == "higher" and metric in shown]
     better = "Lower is better" + (f", except {', '.join(higher)}" if higher else "")
     pooled = [metric for metric in results.pooled if metric in shown]
-    frames = f" ({', '.join(pooled)}: over all their frames)" if pooled else ""
+    frames = f", of {', '.join(pooled)} over all their frames" if pooled else ""
     return f"Means over n rows (recordings x seeds){frames}. {better}; marked: the best of the methods with most rows."
 
 

@@ -114,33 +114,39 @@ def test_the_example_runs_with_phystwin(tmp_path):
 
 @pytest.fixture(scope="module")
 def printed_again(tmp_path_factory):
-    """What the first command prints, with the baselines only: their figures take no time and do not depend on the machine."""
+    """What the first command prints, with the baselines only: their figures take little time and hardly depend on the machine."""
     folder = tmp_path_factory.mktemp("run")
     environment = os.environ | {"TWINBENCH_CACHE": str(folder / "cache")}
     script = "import sys; from twinbench.benchmark.cli import main; sys.exit(main())"
-    options = ["run", "--methods", "static", "rigid"]
+    scored = [name for name in metrics() if not name.startswith("lpips")]  # which need a download, and are not in the README's table
+    options = ["run", "--methods", "static", "rigid", "--metrics", *scored]
     done = subprocess.run([sys.executable, "-c", script, *options], capture_output=True, text=True, cwd=folder, env=environment, check=True)
     return done.stdout, folder
 
 
 def figures(text):
-    """{(task, method): the row's figures, without its time}."""
+    """{(task, method): the figures of its rows, without their time}."""
     found, task = {}, ""
     for line in text.splitlines():
         if heading := re.match(r"sample, (\w+): ", line):
             task = heading[1]
         elif task and (row := re.match(r"(\S+) +((?:[-\d.*]+ +)+)\d+\.\d$", line)):
-            found[task, row[1]] = row[2].replace("*", "").split()
+            found.setdefault((task, row[1]), []).extend(row[2].replace("*", "").split())
     return found
 
 
 def test_the_table_is_what_the_command_prints(printed_again):
     here, there = figures(TABLE), figures(printed_again[0])
     assert set(here) == {(task, method) for task in TASKS for method in ("static", "rigid", "phystwin")}
-    assert there and {key: here[key] for key in there} == there
+    lengths = sum(metric.unit == "m" for metric in metrics().values())
+    for key, printed in there.items():
+        assert here[key][:lengths] == printed[:lengths]
+        # the appearance comes from some hundred steps in single precision, which machines round in their own way
+        assert list(map(float, here[key][lengths:])) == pytest.approx(list(map(float, printed[lengths:])), rel=0.03)
+    assert there
     words = {" ".join(line.split()) for line in printed_again[0].splitlines()}
     for line in TABLE.splitlines():
-        if not re.match(r"(phystwin|rigid|static) |-{9}", line):  # captions, names of columns, legend
+        if not re.match(r"(phystwin|rigid|static) |-{9}|sample: no ", line):  # captions, names of columns, legend
             assert " ".join(line.split()) in words
 
 

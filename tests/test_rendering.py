@@ -352,11 +352,30 @@ def test_pooled_means_weigh_every_frame_the_same(tmp_path):
         results = Results(rows, {"psnr": "dB", "psnr_corrected": "dB"}, dict.fromkeys(NAMES[3:], "higher"), {}, {}, ("psnr",))
         (block,) = blocks(results)
         assert block.lines[0].means[metric] == pytest.approx(expected)
-        legend = "Means over n rows (recordings x seeds)" + (" (psnr: over all their frames)" if metric == "psnr" else "")
+        legend = "Means over n rows (recordings x seeds)" + (", of psnr over all their frames" if metric == "psnr" else "")
         assert f"{legend}. Lower is better, except {metric}; marked" in markdown(results)
         assert f"{metric} [dB]" in markdown(results)
         write_results(results, tmp_path)
         assert markdown(read_results(tmp_path)) == markdown(results)
+
+
+def test_a_corrected_column_that_repeats_the_published_one_is_left_out():
+    units, directions = dict.fromkeys(NAMES[3:], "dB"), dict.fromkeys(NAMES[3:], "higher")
+
+    def said(*rows):
+        results = Results(rows, units, directions, {}, {}, ("psnr",))
+        return [block.metrics for block in blocks(results)], notes(results)
+
+    def one(published, corrected, **other):
+        return row("psnr", published, 3, psnr_corrected=corrected, psnr_corrected_unscorable=0, **other)
+
+    # 0.1 + 0.2 and 0.3 are one number, and the tasks have their own tables
+    same, other = one(0.1 + 0.2, 0.3), one(20.0, 21.0, task="transfer")
+    assert said(same) == ([("psnr",)], ["made: psnr_corrected not shown: equal to psnr"])
+    assert said(same, other) == ([("psnr",), ("psnr", "psnr_corrected")], ["made, prediction: psnr_corrected not shown: equal to psnr"])
+    # one line that differs, or has no value, shows the column
+    assert said(same, one(20.0, 21.0, method="rigid")) == ([("psnr", "psnr_corrected")], [])
+    assert said(same, one(20.0, math.nan, method="rigid"))[0] == [("psnr", "psnr_corrected")]
 
 
 def test_a_table_too_wide_shows_lengths_first_and_the_rest_below(tmp_path):
