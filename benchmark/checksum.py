@@ -33,18 +33,19 @@ def checksum(scenario: Scenario) -> str:
 def image_checksum(scenario: Scenario) -> str:
     """Hexadecimal SHA-256 of the images that are looked at: all of frame 0, and camera 0's colours and masks in every frame.
 
-    An image that cannot be read counts by the error that says so.
+    An image that cannot be read counts by the error that says so; "" where the recording has none.
     """
     state, images = hashlib.sha256(), scenario.images
-    if images is not None:
-        kinds = {kind: getattr(images, kind) for kind in ("color", "mask", "human_mask", "depth")}
-        wanted = [(kind, camera, 0) for kind in kinds for camera in range(len(scenario.cameras))]
-        wanted += [(kind, 0, frame) for frame in range(1, scenario.frame_count) for kind in kinds if kind != "depth"]
-        for kind, camera, frame in wanted:
-            try:
-                _feed(state, np.asarray(kinds[kind](camera, frame)))
-            except (OSError, ValueError, IndexError) as error:
-                _feed(state, str(error))
+    if images is None:
+        return ""
+    kinds = {kind: getattr(images, kind) for kind in ("color", "mask", "human_mask", "depth")}
+    wanted = [(kind, camera, 0) for kind in kinds for camera in range(len(scenario.cameras))]
+    wanted += [(kind, 0, frame) for frame in range(1, scenario.frame_count) for kind in kinds if kind != "depth"]
+    for kind, camera, frame in wanted:
+        try:
+            _feed(state, np.asarray(kinds[kind](camera, frame)))
+        except (OSError, ValueError, IndexError) as error:
+            _feed(state, str(error))
     return state.hexdigest()
 
 

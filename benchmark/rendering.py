@@ -78,8 +78,10 @@ class Shown(Trajectory):
 
     @classmethod
     def of(cls, trajectory: Trajectory, appearance: Callable[[], object]) -> Shown:
-        """``trajectory`` moving what ``appearance()`` gives."""
-        return cls(trajectory.positions, trajectory.counts, lambda: appearance().animate(trajectory))
+        """``trajectory`` moving what ``appearance()`` gives, as far as it is finite."""
+        lost = np.flatnonzero(~np.isfinite(trajectory.positions).all(axis=(1, 2)))
+        good = np.array(trajectory.positions[: lost[0] if len(lost) else None])
+        return cls(trajectory.positions, trajectory.counts, lambda: appearance().animate(Trajectory(good, trajectory.counts)))
 
     @cached_property
     def _animated(self):

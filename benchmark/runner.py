@@ -261,8 +261,10 @@ class Runner:
         return digest(fit.method, method, sources, fit.seed, self.settings.preset, self.settings.device)
 
     def _row_key(self, fit_key: str, evaluation: Evaluation) -> str:
-        metrics = [(name, metric.version, metric.unavailable() is None) for name, metric in self.settings.metrics.items()]
         images = self._checksums.images(evaluation.target) if self.settings.images else ""
+        wanted = {name: metric for name, metric in self.settings.metrics.items() if images or not metric.images}
+        available = [name for name, metric in wanted.items() if metric.unavailable() is None]  # not asked where there are no images
+        metrics = [(name, metric.version, name in available) for name, metric in self.settings.metrics.items()]
         return digest(fit_key, evaluation.task, self._checksums[evaluation.target], images, metrics, code("metrics", "methods/appearance"))
 
     def _load(self, name: str) -> Scenario:

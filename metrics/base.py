@@ -114,7 +114,7 @@ def scores(metrics: Mapping[str, Metric], prediction: Prediction, scenario: Scen
     """Average each of ``metrics`` over ``frames``, as ``score`` does. Those that look at images go through the frames side by side, so that
     a prediction that keeps its last image makes each once for all of them.
     """
-    missing = {name: metric.unavailable() for name, metric in metrics.items()}
+    missing = {name: None if metric.images and scenario.images is None else metric.unavailable() for name, metric in metrics.items()}
     values = {name: np.full(len(frames), np.nan) for name in metrics}
     for name, metric in metrics.items():
         if not (missing[name] or metric.images):

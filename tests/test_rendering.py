@@ -4,6 +4,7 @@ import json
 import math
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,14 +13,15 @@ from twinbench.benchmark.checksum import image_checksum
 from twinbench.benchmark.opening import open_recordings
 from twinbench.benchmark.picture import Player
 from twinbench.benchmark.plan import plan
-from twinbench.benchmark.rendering import Recent
+from twinbench.benchmark.rendering import Recent, Shown
 from twinbench.benchmark.results import Results, read_results, write_results
 from twinbench.benchmark.runner import Runner, Settings
 from twinbench.benchmark.table import blocks, markdown, notes, terminal
 from twinbench.datasets.phystwin import read_case, write_case
 from twinbench.datasets.scenario import Camera, Scenario, Split
+from twinbench.methods.base import Trajectory
 from twinbench.methods.registry import methods
-from twinbench.metrics.base import Unscorable, get_metric
+from twinbench.metrics.base import Unscorable, get_metric, score
 
 FRAMES, TRAIN, SIDE = 6, 3, 20
 GREY = 128
@@ -207,6 +209,20 @@ def test_other_images_are_another_appearance_and_other_rows(tmp_path):
 # --- what has no value
 
 
+def test_without_images_nobody_asks_whether_weights_can_be_had(tmp_path, monkeypatch):
+    def asked(*_):
+        raise AssertionError("the network was asked")
+
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr("twinbench.metrics.perceptual._unreachable", asked)
+    write(tmp_path / "case", images=False)
+    rows, _ = run(tmp_path / "case", tmp_path, names=("chamfer", "lpips"))
+    assert rows[0]["status"] == "ok" and rows[0]["lpips_reason"] == "the recording has no images"
+    write(tmp_path / "other" / "case")
+    with pytest.raises(AssertionError, match="the network was asked"):
+        run(tmp_path / "other" / "case", tmp_path, names=("chamfer", "lpips"))
+
+
 def reasons(row):
     return {name: row[f"{name}_reason"] for name in NAMES if row[f"{name}_reason"]}
 
@@ -327,6 +343,19 @@ def test_recent_images_are_read_once(tmp_path):
         np.testing.assert_array_equal(recent.mask(0, frame), square(8 + frame))
         assert recent.color(0, frame).shape == (SIDE, SIDE, 3)
     assert reads == [0, 0, 1, 1] and recent.frame_count == FRAMES
+
+
+def test_a_roll_out_that_blows_up_late_is_shown_until_then(tmp_path):
+    seen = read_case(write(tmp_path / "case"))
+    positions = np.array(seen.points)
+    positions[4:] = np.nan
+    moved = []
+    appearance = SimpleNamespace(animate=lambda trajectory: moved.append(trajectory) or Moving(trajectory))
+    shown = Shown.of(Trajectory(positions, (8, 0, 0)), lambda: appearance)
+    result = score(get_metric("iou_corrected"), shown, seen, [1, 3])
+    assert result.mean == 1 and len(moved) == 1 and len(moved[0].positions) == 4
+    result = score(get_metric("iou_corrected"), shown, seen, [3, 4])
+    assert math.isnan(result.mean) and result.reason == "the prediction is not finite" and shown.faults == []
 
 
 def test_pictures_can_show_metrics_of_images(tmp_path):
