@@ -53,8 +53,8 @@ def structural_similarity(first, second, *, padded: bool = False) -> float:
     lit = np.nonzero((first != 0).any(axis=2) | (second != 0).any(axis=2))
     if not len(lit[0]):
         return 1.0
-    low = [max(axis.min() - 2 * RADIUS, 0) for axis in lit]  # a window's centre lies within RADIUS of what it sees, its edge within two
-    high = [min(axis.max() + 2 * RADIUS + 1, size) for axis, size in zip(lit, (height, width), strict=True)]
+    low = [max(axis.min() - RADIUS, 0) for axis in lit]  # windows with a centre farther out see black only
+    high = [min(axis.max() + RADIUS + 1, size) for axis, size in zip(lit, (height, width), strict=True)]
     part = np.s_[low[0] : high[0], low[1] : high[1]]
     inner = np.zeros((height, width), bool)
     inner[border : height - border, border : width - border] = True

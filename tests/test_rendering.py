@@ -354,6 +354,7 @@ def test_a_roll_out_that_blows_up_late_is_shown_until_then(tmp_path):
     shown = Shown.of(Trajectory(positions, (8, 0, 0)), lambda: appearance)
     result = score(get_metric("iou_corrected"), shown, seen, [1, 3])
     assert result.mean == 1 and len(moved) == 1 and len(moved[0].positions) == 4
+    assert len(shown._kept) == 1  # of the last frame only, as images are large
     result = score(get_metric("iou_corrected"), shown, seen, [3, 4])
     assert math.isnan(result.mean) and result.reason == "the prediction is not finite" and shown.faults == []
 
