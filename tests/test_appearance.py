@@ -17,6 +17,7 @@ from twinbench.methods.appearance.losses import ssim, view_loss
 from twinbench.methods.appearance.render import draw, render
 from twinbench.methods.appearance.skinning import Skinning, bone_rotations, quaternions, rotated
 from twinbench.methods.appearance.splats import Viewpoint, project
+from twinbench.methods.appearance.threads import threads_for
 from twinbench.methods.appearance.tiles import blend
 from twinbench.methods.appearance.views import frame_zero, starting_points
 from twinbench.methods.base import Trajectory
@@ -467,6 +468,15 @@ def test_a_seed_repeats_and_another_does_not(sample):
     assert len(a) > len(start[0]) and (len(a) != len(c) or not torch.equal(a.positions, c.positions))
 
 
+def test_small_images_take_one_thread_and_give_the_others_back():
+    before = torch.get_num_threads()
+    for pixels, within in ((54 * 40, 1), (848 * 480, before)):
+        with pytest.raises(KeyError), threads_for(pixels):
+            assert torch.get_num_threads() == within
+            raise KeyError
+        assert torch.get_num_threads() == before
+
+
 def test_starting_points_project_into_the_masks(sample):
     # a lifted pixel projects back onto its own centre
     views = views_of(sample)
@@ -484,7 +494,7 @@ def test_starting_points_project_into_the_masks(sample):
 def test_a_saved_appearance_draws_the_same(sample, fitted, tmp_path):
     fitted.save(tmp_path)
     again = Appearance.load(tmp_path)
-    assert again.quirks == fitted.quirks and again.device == fitted.device
+    assert again.quirks == fitted.quirks and again.device == fitted.device and Appearance.load(tmp_path, device="cuda").device == "cuda"
     still = Trajectory(np.float32(sample.structure)[None].repeat(2, 0), sample.counts)
     image = fitted.animate(still).image(sample.cameras[0], 1)
     assert np.array_equal(image, again.animate(still).image(sample.cameras[0], 1))

@@ -1,8 +1,8 @@
 """What a body looks like in every frame: 3D Gaussians fitted to the images of frame 0, moved by a roll-out.
 
 ``Appearance.fit(observed)`` needs the images, masks and cameras of frame 0 only; ``appearance.animate(trajectory)`` is any method's
-roll-out of the same body, and ``animated.image(camera, frame)`` what a camera sees of it. Independent implementation of PhysTwin's
-appearance (paper section 3.4, appendix); see ``config.Quirks`` for where its code does something else.
+roll-out of the same body, and ``animated.image(camera, frame)`` what a camera sees of it. Independent implementation of the appearance of
+PhysTwin (Jiang et al., ICCV 2025); see ``config.Quirks`` for where its code does something else.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class Appearance:
     ) -> Appearance:
         """Fit Gaussians to frame 0 as all ``cameras`` of the recording (or those of the given indices) see it.
 
-        ``progress(stage, fraction)`` may be called as work goes on. Deterministic for a seed on the CPU. Raises ValueError where the
-        recording has no cameras, no images, or no pixel of the object in any of them.
+        ``progress(stage, fraction)`` may be called as work goes on. Deterministic for a seed on the CPU; gsplat adds in any order. Raises
+        ValueError where the recording has no cameras, no images, or no pixel of the object in any of them.
         """
         from .fitting import fit_gaussians
         from .views import frame_zero, starting_points
@@ -81,12 +81,15 @@ class Appearance:
         part.replace(folder / "appearance.json")
 
     @classmethod
-    def load(cls, folder: str | Path) -> Appearance:
-        """The appearance that ``save`` wrote. Raises ValueError naming the file where it is not there or damaged."""
+    def load(cls, folder: str | Path, *, device: str | None = None) -> Appearance:
+        """The appearance that ``save`` wrote, drawn on ``device``, or on the one it was fitted on.
+
+        Raises ValueError naming the file where it is not there or damaged.
+        """
         file = Path(folder) / "appearance.json"
         try:
             about = json.loads(file.read_text(encoding="utf-8"))
-            quirks, device = Quirks(**about["quirks"]), about["device"]
+            quirks, device = Quirks(**about["quirks"]), device or about["device"]
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ValueError(f"{file}: not a saved appearance ({error})") from error
         return cls(Gaussians.load(Path(folder) / "gaussians.npz"), quirks, device)
@@ -116,5 +119,7 @@ class Animated:
     def image(self, camera: Camera, frame: int) -> np.ndarray:
         """What ``camera`` sees of the body in ``frame``: RGBA (H, W, 4) float32 in 0..1, colours multiplied by alpha (over black)."""
         from .render import render
+        from .threads import threads_for
 
-        return render(self.gaussians(frame), camera).clamp(0, 1).float().cpu().numpy()
+        with threads_for(camera.width * camera.height):
+            return render(self.gaussians(frame), camera).clamp(0, 1).float().cpu().numpy()

@@ -11,6 +11,7 @@ from .growing import Growing
 from .harmonics import CONSTANT
 from .losses import view_loss
 from .render import draw
+from .threads import threads_for
 
 __all__ = ["camera_extent", "fit_gaussians", "starting_gaussians"]
 
@@ -49,6 +50,12 @@ def fit_gaussians(views, points, colours, config: Config, quirks: Quirks, *, see
     extent = camera_extent([view.camera for view in views], points)
     growing = Growing(starting_gaussians(points, colours, config).to(device), extent, config, generator)
     seen = [_tensors(view, device) for view in views]
+    with threads_for(max(view.mask.size for view in views)):
+        _run(growing, views, seen, config, quirks, order, progress)
+    return growing.gaussians(config.degree).detach()
+
+
+def _run(growing, views, seen, config, quirks, order, progress):
     ahead: list[int] = []
     for step in range(1, config.iterations + 1):
         ahead = ahead or list(order.permutation(len(views)))  # every view once before any comes again
@@ -64,7 +71,6 @@ def fit_gaussians(views, points, colours, config: Config, quirks: Quirks, *, see
             growing.reset_opacities()
         if progress is not None and (step % 50 == 0 or step == config.iterations):
             progress("appearance", step / config.iterations)
-    return growing.gaussians(config.degree).detach()
 
 
 def _tensors(view, device):

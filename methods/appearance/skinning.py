@@ -1,4 +1,4 @@
-"""Linear blend skinning: points that follow the particles of a roll-out (PhysTwin, section 3.4; Sumner et al., SIGGRAPH 2007).
+"""Linear blend skinning: points that follow the particles of a roll-out (PhysTwin; Sumner et al., SIGGRAPH 2007).
 
 Every particle is a bone. Its rotation is the one that turns its neighbours of frame 0 into where they are now; a point moves by the
 weighted mean of what its nearest bones would do to it, mu' = sum_k w_k (R_k (mu - b_k) + b'_k).
