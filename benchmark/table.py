@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from .plan import TASKS
 from .results import Results
 
-__all__ = ["Block", "Line", "blocks", "latex", "markdown", "notes", "terminal"]
+__all__ = ["Block", "Line", "Sheet", "blocks", "latex", "markdown", "notes", "remarks", "sheets", "terminal"]
 
 
 @dataclass(frozen=True)
@@ -160,6 +160,34 @@ def _left_out(results: Results) -> list[str]:
         f"equal to {', '.join(metric.removesuffix(CORRECTED) for metric in equal)}"
         for (collection, equal), among in tasks.items()
     ]
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table as every format prints it: ``cells`` of each of the block's lines, as text and whether it is the best of its column."""
+
+    block: Block
+    caption: str
+    header: tuple[str, ...]
+    cells: tuple[tuple[tuple[str, bool], ...], ...]
+
+
+def sheets(results: Results) -> list[Sheet]:
+    """All tables."""
+    return [
+        Sheet(
+            block,
+            _caption(block),
+            tuple(_header(block, dict(results.units))),
+            tuple(tuple(_cells(block, line, results)) for line in block.lines),
+        )
+        for block in blocks(results)
+    ]
+
+
+def remarks(results: Results) -> list[str]:
+    """What stands below the tables: how to read them, then ``notes``."""
+    return [_legend(results), *notes(results)]
 
 
 def _header(block: Block, units: dict[str, str]) -> list[str]:
