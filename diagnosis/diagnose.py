@@ -15,7 +15,8 @@ from ..datasets.scenario import Scenario
 from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .locate import clusters
-from .report import plain, write_report
+from .page.document import plain
+from .report import write_report
 from .verdict import NONE, Calibration, Decision, calibration, context, decide, readings
 
 __all__ = ["NAMES", "Diagnosis", "diagnose"]

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
-import math
 import uuid
 from html import escape
-from importlib import resources
 from pathlib import Path
 from string import Template
 
@@ -16,14 +11,16 @@ import numpy as np
 
 from .page import tables
 from .page.arrays import thin, view
+from .page.document import asset, embedded, plain, policy, script
 from .page.words import VERDICTS, headline, improvement
 
-__all__ = ["plain", "write_report"]
+__all__ = ["write_report"]
 
 LIMIT = 2_900_000  # bytes of a report: it travels by mail and opens at once
 LEAST = 100_000  # numbers that the views get however long the rest is
 BYTES = 2 * 4 / 3  # a number in the page: 16 bits in base64
-SCRIPTS = ("scene.js", "curve.js", "page.js")
+STYLES = ("base.css", "page.css")
+SCRIPTS = ("drawing.js", "curve.js", "scene.js", "page.js")
 
 
 def write_report(result: dict, evidence: dict[str, np.ndarray], path: str | Path) -> None:
@@ -57,12 +54,12 @@ def _page(result: dict, evidence: dict[str, np.ndarray]) -> str:
     marked = list((result.get("where") or {}).get("points") or [])
     marked += [point for one in said.get("clusters") or [] for point in one.get("points") or []]
     views = [view(evidence, i, one, marked if one.get("role") == "case" else ()) for i, one in enumerate(records)]
-    script = "\n".join(["'use strict';", *map(_asset, SCRIPTS)])
+    code = script(*map(asset, SCRIPTS))
     parts = {
         "title": escape(f"Diagnosis of {names[0]}"),
-        "policy": "sha256-" + base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        "style": _asset("page.css"),
-        "script": script,
+        "policy": policy(code),
+        "style": "".join(map(asset, STYLES)),
+        "script": code,
         "verdict": escape(VERDICTS.get(result.get("verdict"), "")),
         "headline": escape(headline(result)),
         "improvement": escape(improvement(result)),
@@ -73,16 +70,12 @@ def _page(result: dict, evidence: dict[str, np.ndarray]) -> str:
         "detectable": tables.detectable(result),
         "experiment": escape(str(result.get("experiment") or "None is proposed.")),
         "notes": tables.notes(result),
-        "result": _json(result),
+        "result": embedded(result),
     }
     frame = {"up": _vector(evidence, "up", 3), "ground": _vector(evidence, "ground", 4)}
     room = LIMIT - sum(len(part.encode(errors="replace")) for part in parts.values())
-    parts["scene"] = _json({**frame, "recordings": thin(views, max(LEAST, int(room / BYTES)))})
-    return Template(_asset("page.html")).substitute(parts)
-
-
-def _asset(name: str) -> str:
-    return resources.files(f"{__package__}.page").joinpath(name).read_text(encoding="utf-8")
+    parts["scene"] = embedded({**frame, "recordings": thin(views, max(LEAST, int(room / BYTES)))})
+    return Template(asset("page.html")).substitute(parts)
 
 
 def _vector(evidence: dict, name: str, size: int) -> list[float] | None:
@@ -93,27 +86,3 @@ def _vector(evidence: dict, name: str, size: int) -> list[float] | None:
     if vector.shape != (size,) or not np.isfinite(vector).all():
         raise ValueError(f"evidence {name} must be {size} finite numbers, got {vector.tolist()}")
     return vector.tolist()
-
-
-def plain(value):
-    """``value`` as JSON has it: numpy's numbers and arrays as Python's, NaN and infinity as None.
-
-    Raises ValueError where it holds what JSON cannot.
-    """
-    if isinstance(value, dict):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(one) for one in value]
-    if isinstance(value, (np.ndarray, np.generic)):
-        return plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, (str, bool, int, float)):
-        return value
-    raise ValueError(f"a diagnosis holds numbers, text, lists and mappings; got {type(value).__name__}: {value!r}")
-
-
-def _json(value) -> str:
-    """JSON that may stand inside a script element: no text in it can end the element or begin a comment."""
-    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
-    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")

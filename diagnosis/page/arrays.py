@@ -6,7 +6,7 @@ import base64
 
 import numpy as np
 
-__all__ = ["thin", "view"]
+__all__ = ["packed", "some", "thin", "view"]
 
 POINTS = 300  # more cannot be told apart on a screen
 FEWEST_FRAMES = 60  # below it, points are given up before frames
@@ -105,12 +105,12 @@ def _thinned(one: dict, share: float) -> dict:
     points = min(count, POINTS)
     if share < each * points * min(frames, FEWEST_FRAMES):
         points = min(points, max(30, int(share / (each * min(frames, FEWEST_FRAMES)))))
-    kept_points = _some(count, points, one["marked"])
-    kept_frames = _some(frames, max(2, int(share / (each * max(1, len(kept_points))))), [0, frames - 1])
-    arrays = {name: _packed(a[np.ix_(kept_frames, kept_points)]) for name, a in one["arrays"].items()}
+    kept_points = some(count, points, one["marked"])
+    kept_frames = some(frames, max(2, int(share / (each * max(1, len(kept_points))))), [0, frames - 1])
+    arrays = {name: packed(a[np.ix_(kept_frames, kept_points)]) for name, a in one["arrays"].items()}
     if one["controllers"] is not None:
-        hands = _some(one["controllers"].shape[1], 60, [])
-        arrays["controllers"] = _packed(one["controllers"][np.ix_(kept_frames, hands)])
+        hands = some(one["controllers"].shape[1], 60, [])
+        arrays["controllers"] = packed(one["controllers"][np.ix_(kept_frames, hands)])
     return {
         "path": [[round(x, 5) for x in one["path"][t]] for t in kept_frames],
         "frames": kept_frames,
@@ -122,7 +122,7 @@ def _thinned(one: dict, share: float) -> dict:
     }
 
 
-def _some(count: int, wanted: int, first) -> list[int]:
+def some(count: int, wanted: int, first) -> list[int]:
     """At most ``wanted`` of ``count`` indices, ascending: those in ``first``, then others evenly."""
     if count <= wanted:
         return list(range(count))
@@ -132,7 +132,7 @@ def _some(count: int, wanted: int, first) -> list[int]:
     return sorted(first + rest[np.linspace(0, len(rest) - 1, wanted - len(first)).astype(int)].tolist())
 
 
-def _packed(array: np.ndarray) -> dict:
+def packed(array: np.ndarray) -> dict:
     """(T, n, 3) as base64 of little-endian uint16, with the range of each axis; a row with a NaN is missing as a whole."""
     here = np.isfinite(array).all(-1)
     rows = array[here]

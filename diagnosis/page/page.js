@@ -1,26 +1,10 @@
 // Ties the view, the curve, the slider and the tables together.
 
-const element = (id) => document.getElementById(id);
-const embedded = (id) => JSON.parse(element(id).textContent);
-
 function colours() {
   const style = getComputedStyle(document.documentElement);
   const get = (name) => style.getPropertyValue(`--${name}`).trim();
   const names = ["ink", "quiet", "line", "grid", "observed", "force", "hand", "ring", "window", "baseline", "extended", "floor"];
   return { ...Object.fromEntries(names.map((name) => [name, get(name)])), scale: [0, 1, 2].map((k) => get(`scale-${k}`)) };
-}
-
-// The canvas's context in CSS pixels, sharp on any screen.
-function fitted(canvas) {
-  const [width, height, ratio] = [canvas.clientWidth, canvas.clientHeight, window.devicePixelRatio || 1];
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const context = canvas.getContext("2d");
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.clearRect(0, 0, width, height);
-  return { context, width, height };
 }
 
 const mm = (metres) => (metres === null || metres === undefined ? "not measured" : `${(1000 * metres).toFixed(metres < 0.01 ? 2 : 1)} mm`);
@@ -127,11 +111,14 @@ class Page {
     const { context, width, height } = fitted(element("curve"));
     const { curve, frames, window, frame: now } = this;
     const trainEnd = this.record.role === "transfer" ? 0 : this.record.train_end; // of a transfer no frame was fitted
-    drawCurve(context, { width, height, curve, frames, trainEnd, window, now, colours: shades });
+    const series = ["baseline", "extended"].filter((name) => curve[name]).map((name) => ({ values: curve[name], colour: shades[name] }));
+    const level = curve.noise_floor;
+    const floor = level === null || level === undefined ? null : { value: level, colour: shades.floor };
+    drawCurve(context, { width, height, series, frames, trainEnd, window, floor, now, unit: { scale: 1000, name: "mm" }, colours: shades });
     const part = trainEnd > 0 && trainEnd < frames ? (now < trainEnd ? ", fitted" : ", held out") : "";
     const said = [["baseline", "as it was"], ["extended", "with the extension"]].filter(([name]) => curve[name]);
     const pieces = said.map(([name, words]) => [shades[name], `${words}: ${mm(curve[name][now])}`]);
-    if (curve.noise_floor !== null && curve.noise_floor !== undefined) pieces.push([shades.floor, `noise floor: ${mm(curve.noise_floor)}`]);
+    if (floor) pieces.push([shades.floor, `noise floor: ${mm(level)}`]);
     if (this.window) pieces.push([shades.scale[1], `shaded: frames ${this.window[0]} to ${this.window[1] - 1}, when it acts`]);
     element("readout").replaceChildren(`Mean track error at frame ${now}${part}. `, ...pieces.map(([colour, text]) => this.legend(colour, text)));
   }

@@ -324,7 +324,7 @@ def test_a_wheel_holds_the_page():
     root = Path(__file__).resolve().parents[2]
     patterns = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["twinbench.diagnosis.page"]
     files = [file for file in (root / "diagnosis" / "page").iterdir() if file.is_file() and file.suffix != ".py"]
-    assert len(files) == 5 and all(any(file.match(pattern) for pattern in patterns) for file in files)
+    assert len(files) == 7 and all(any(file.match(pattern) for pattern in patterns) for file in files)
 
 
 def test_numbers_in_words():
