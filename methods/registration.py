@@ -1,17 +1,26 @@
-"""Placing a body's particles on another recording's frame 0."""
+"""Placing a body's particles on another recording's frame 0: how it lies there as a whole.
+
+The reference matches image features by a network (SuperGlue) whose licence excludes commercial use. In its place the body is laid on the
+target in every orientation of its principal axes, and how well both shapes and colours meet tells which is the right one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
 
 from ..datasets.scenario import Plane
 
-__all__ = ["align", "rigid_transform"]
+__all__ = ["align", "color_gap", "lifted", "normals", "rigid_transform", "starts"]
 
 ROUNDS = 50
 KEPT = 0.8  # share of nearest pairs that a round believes in: the rest may be unseen or occluded
+COLOR = 0.3  # distance in RGB that counts as much as the body's own size
+NEIGHBOURS = 12  # particles that say how the surface lies around one
+ALONG = 0.01  # weight of what is apart along the surface beside what is apart across it
+SETTLED = 1e-9  # m: a round that moves no particle farther is the last
 
 
 def rigid_transform(source, target) -> tuple[np.ndarray, np.ndarray]:
@@ -23,46 +32,103 @@ def rigid_transform(source, target) -> tuple[np.ndarray, np.ndarray]:
     return rotation, b - rotation @ a
 
 
-def align(structure, cloud, *, ground: Plane | None = None) -> np.ndarray:
+def align(structure, cloud, *, surface: int | None = None, colors=None, cloud_colors=None, ground: Plane | None = None) -> np.ndarray:
     """``structure`` (M, 3) moved rigidly onto ``cloud`` (K, 3), metres; particles below the ground are lifted onto it.
 
-    Trimmed iterative closest points (Besl and McKay 1992; Chetverikov 2002) from where it is, from the cloud's centre, and from the cloud's
-    principal axes in every orientation; the start whose end has the smallest trimmed distance wins, earlier ones on ties.
+    The first ``surface`` particles (default all) are those that can be seen. ``colors`` (surface, 3) and ``cloud_colors`` (K, 3) are RGB in
+    [0, 1], NaN where unknown. Trimmed iterative closest points (Besl and McKay 1992; Chetverikov 2002) from all ``starts``; the one whose
+    end has the smallest trimmed distance, and the nearest colours where there are any, wins, earlier ones on ties. From its end on, what is
+    apart along the surface counts little (Chen and Medioni 1992): both are sampled, and no particle need have its like in the cloud.
     """
     structure, cloud = np.asarray(structure, float), np.asarray(cloud, float)
-    best, best_error = structure, np.inf
-    for start in _starts(structure, cloud):
-        moved, error = _closest_points(start, cloud)
-        if error < best_error * 0.98:
-            best, best_error = moved, error
-    if ground is not None:
-        best = best + np.maximum(0.0, -ground.height(best))[:, None] * ground.normal
-    return best
+    seen = slice(len(structure) if surface is None else surface)
+    size = max(1e-9, float(np.sqrt(((cloud - cloud.mean(0)) ** 2).sum(1).mean())))
+    best, best_cost = structure, np.inf
+    for start in starts(structure, cloud, seen=seen):
+        moved, index, error = _closest_points(start, cloud, seen)
+        cost = error / size
+        if colors is not None and cloud_colors is not None:
+            cost += color_gap(np.asarray(colors)[index], cloud_colors)
+        if cost < best_cost * 0.98:
+            best, best_cost = moved, cost
+    return lifted(_closest_surface(best, cloud, seen), ground)
 
 
-def _starts(structure, cloud):
-    a, b = structure.mean(0), cloud.mean(0)
+def lifted(structure, ground: Plane | None) -> np.ndarray:
+    """``structure`` (M, 3) [m], what is below the ground raised onto it."""
+    if ground is None:
+        return structure
+    return structure + np.maximum(0.0, -ground.height(structure))[:, None] * ground.normal
+
+
+def color_gap(colors, others) -> float:
+    """Mean distance of paired ``colors`` and ``others`` (K, 3) in units of ``COLOR``; 0 where none is known of both."""
+    gap = np.linalg.norm(np.asarray(colors) - others, axis=1)
+    return float(gap[np.isfinite(gap)].mean()) / COLOR if np.isfinite(gap).any() else 0.0
+
+
+def starts(structure, cloud, *, seen: slice = slice(None)) -> Iterator[np.ndarray]:
+    """Where ``structure`` (M, 3) [m] may lie on ``cloud`` (K, 3): where it is, about the cloud's centre, and on the cloud's principal axes
+    in every orientation, also with the first two exchanged. Centre and axes are those of the particles ``seen``."""
+    a, b = structure[seen].mean(0), cloud.mean(0)
+    axes_a, axes_b = (np.linalg.svd(p - p.mean(0), full_matrices=False)[2] for p in (structure[seen], cloud))
     yield structure
     yield structure - a + b
-    axes_a, axes_b = (np.linalg.svd(p - p.mean(0), full_matrices=False)[2] for p in (structure, cloud))
-    for signs in product((1, -1), repeat=3):
-        turn = axes_b.T @ np.diag(signs) @ axes_a
-        if np.linalg.det(turn) > 0:
-            yield (structure - a) @ turn.T + b
+    for order in ((0, 1, 2), (1, 0, 2))[: len(axes_a)]:
+        for signs in product((1, -1), repeat=3):
+            turn = axes_b.T @ np.diag(signs) @ axes_a[list(order)]
+            if np.linalg.det(turn) > 0:
+                yield (structure - a) @ turn.T + b
 
 
-def _closest_points(structure, cloud):
-    """ICP on cloud -> structure pairs: the cloud is what was seen, the structure may hold unseen parts."""
+def normals(points) -> np.ndarray:
+    """(K, 3) unit normals, of either sign, of the surface that ``points`` (K, 3) lie on: across the plane through the nearest of them."""
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))[1].reshape(len(points), -1)
+    patches = points[near] - points[near].mean(1, keepdims=True)
+    return np.linalg.eigh(np.swapaxes(patches, 1, 2) @ patches)[1][:, :, 0]
+
+
+def _closest_points(structure, cloud, seen):
+    """Moved structure, nearest particle (K,) of each point, trimmed distance: by cloud -> structure pairs, as the cloud is what was seen and
+    the structure may hold unseen parts."""
     from scipy.spatial import cKDTree
 
     error = np.inf
     for _ in range(ROUNDS):
-        distance, index = cKDTree(structure).query(cloud)
+        distance, index = cKDTree(structure[seen]).query(cloud)
         keep = distance <= np.quantile(distance, KEPT)
         now = float(distance[keep].mean())
         if now > error * (1 - 1e-4):
             break
         error = now
-        rotation, shift = rigid_transform(structure[index[keep]], cloud[keep])
+        rotation, shift = rigid_transform(structure[seen][index[keep]], cloud[keep])
         structure = structure @ rotation.T + shift
-    return structure, error
+    return structure, index, error
+
+
+def _closest_surface(structure, cloud, seen):
+    """Rounds of the least-squares motion with (n . d)^2 + ALONG |d|^2 for each kept pair that is d apart, n the surface's normal."""
+    from scipy.spatial import cKDTree
+    from scipy.spatial.transform import Rotation
+
+    for _ in range(ROUNDS):
+        surface = structure[seen]
+        distance, index = cKDTree(surface).query(cloud)
+        keep = distance <= np.quantile(distance, KEPT)
+        index, apart = index[keep], (cloud - surface[index])[keep]
+        centre = surface[index].mean(0)
+        normal = normals(surface)[index]
+        weight = ALONG * np.eye(3) + normal[:, :, None] * normal[:, None, :]
+        arm = surface[index] - centre
+        # a small turn w about the centre and a shift u move a particle by w x arm + u
+        lever = np.concatenate([np.cross(np.eye(3)[None], arm[:, None]).swapaxes(1, 2), np.broadcast_to(np.eye(3), (len(arm), 3, 3))], 2)
+        weighed = np.swapaxes(lever, 1, 2) @ weight
+        motion = np.linalg.lstsq((weighed @ lever).sum(0), (weighed @ apart[:, :, None]).sum(0)[:, 0], rcond=1e-9)[0]
+        moved = (structure - centre) @ Rotation.from_rotvec(motion[:3]).as_matrix().T + centre + motion[3:]
+        done = np.abs(moved - structure).max() < SETTLED
+        structure = moved
+        if done:
+            break
+    return structure
