@@ -48,6 +48,8 @@ class Run:
     """Which split: published, or clean (no recording session on both sides)."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Folder for rows.parquet, rows.csv, table.md and table.tex. Default: results/NAME of the recordings."""
+    report: Annotated[Path | None, arg(metavar="FILE")] = None
+    """Also write one HTML file with the tables and, frame by frame, what every twin did. It opens without a network."""
 
     def __call__(self) -> int:
         from .cache import Cache, default_cache
@@ -73,20 +75,30 @@ class Run:
             chosen = tuple(name for name in self.scenarios if name in found.collection.scenarios)
             fits = plan(found.collection, methods=methods, tasks=self.tasks, seeds=self.seeds, scenarios=chosen)
             if fits and (chosen or not self.scenarios):
-                work.append((Runner(found, settings, cache), fits))
+                work.append((found, Runner(found, settings, cache), fits))
         if not work:
             raise ValueError(f"nothing to do: no task of {', '.join(self.tasks)} is scored on the chosen recordings")
-        folder = _folder(self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for runner, _ in work)))
+        folder = _folder(self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for _, runner, _ in work)))
+        if self.report:
+            _folder(self.report.parent, option="--report")
         rows = []
-        for runner, fits in work:
+        for _, runner, fits in work:
             with Bar(runner.collection.name) as bar:
                 rows += runner.run(fits, progress=bar)
         results = Results.of(rows, metrics, [found.collection for found in opened])
         written = write_results(results, folder)
         print(terminal(results))
-        for note in filter(None, (found.note for found in opened)):
+        notes = [found.note for found in opened if found.note]
+        for note in notes:
             print(note)
         print(f"\nWritten to {folder}: {', '.join(path.name for path in written)}")
+        if self.report:
+            from .report import Replay, write_report
+
+            with Bar("report") as bar:
+                runs = [(Replay(found, settings, cache), fits) for found, _, fits in work]
+                write_report(results, runs, self.report, notes=notes, progress=bar)
+            print(f"Report: {self.report}")
         return 1 if any(row["status"] == "failed" for row in rows) else 0
 
 
@@ -365,14 +377,14 @@ def _known(kind: str, names: Iterable[str], known: Iterable[str]) -> None:
             raise ValueError(f"unknown {kind} {name!r}; {nearest(name, known)}")
 
 
-def _folder(path: Path) -> Path:
+def _folder(path: Path, *, option: str = "--out") -> Path:
     """``path`` as a folder that can be written to, which is better known before hours of work than after."""
     try:
         path.mkdir(parents=True, exist_ok=True)
         if not os.access(path, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     except OSError as error:
-        raise ValueError(f"{path}: not a folder that results can be written to ({error.strerror}); choose another with --out") from error
+        raise ValueError(f"{path}: not a folder that results can be written to ({error.strerror}); choose another with {option}") from error
     return path
 
 
