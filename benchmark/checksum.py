@@ -10,7 +10,7 @@ import hashlib
 import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from ..datasets.scenario import Images, Scenario
 from .cache import Cache, digest
 
-__all__ = ["Checksums", "checksum", "code", "image_checksum", "method_code"]
+__all__ = ["Checksums", "checksum", "code", "image_checksum", "method_code", "observed_checksum"]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -42,11 +42,30 @@ def image_checksum(scenario: Scenario) -> str:
     wanted = [(kind, camera, 0) for kind in kinds for camera in range(len(scenario.cameras))]
     wanted += [(kind, 0, frame) for frame in range(1, scenario.frame_count) for kind in kinds if kind != "depth"]
     for kind, camera, frame in wanted:
-        try:
-            _feed(state, np.asarray(kinds[kind](camera, frame)))
-        except (OSError, ValueError, IndexError) as error:
-            _feed(state, str(error))
+        _feed_image(state, kinds[kind], camera, frame)
     return state.hexdigest()
+
+
+def observed_checksum(scenario: Scenario, kinds: Iterable[str]) -> str:
+    """Hexadecimal SHA-256 of all that a fit may see of these kinds of images: every camera's, in the train frames.
+
+    An image that cannot be read counts by the error that says so; "" where the recording has none.
+    """
+    state, images = hashlib.sha256(), scenario.images
+    if images is None:
+        return ""
+    for kind in sorted(kinds):
+        for camera in range(len(scenario.cameras)):
+            for frame in scenario.split.train:
+                _feed_image(state, getattr(images, kind), camera, frame)
+    return state.hexdigest()
+
+
+def _feed_image(state, read, camera: int, frame: int) -> None:
+    try:
+        _feed(state, np.asarray(read(camera, frame)))
+    except (OSError, ValueError, IndexError) as error:
+        _feed(state, str(error))
 
 
 def _feed(state, value) -> None:
@@ -96,9 +115,13 @@ class Checksums:
         self._cache, self._key = cache, key
         self._known: dict[str, str] = (cache.read("checksums", key) if key else None) or {}
 
-    def learn(self, names: Iterable[str], load: Callable[[str], Scenario], *, images: bool = False) -> None:
-        """Read with ``load`` those recordings whose checksums, or with ``images`` those of their images, are not known yet."""
+    def learn(self, names: Iterable[str], load: Callable[[str], Scenario], *, images: bool = False, fitted: Iterable[str] = ()) -> None:
+        """Read with ``load`` those recordings of which a checksum is not known yet: of the arrays, with ``images`` of the images that are
+        looked at, and of those kinds of images that a fit sees, ``fitted``.
+        """
         kinds = {"": checksum, **({_IMAGES: image_checksum} if images else {})}
+        if fitted := tuple(fitted):
+            kinds[_observed(fitted)] = partial(observed_checksum, kinds=fitted)
         unknown = [name for name in dict.fromkeys(names) if any(f"{name}{kind}" not in self._known for kind in kinds)]
         for name in unknown:
             scenario = load(name)
@@ -114,5 +137,13 @@ class Checksums:
         """The checksum of the images of a recording whose images were learnt."""
         return self._known[f"{name}{_IMAGES}"]
 
+    def observed(self, name: str, kinds: Iterable[str]) -> str:
+        """The checksum of what a fit sees of these kinds of images, which were learnt."""
+        return self._known[f"{name}{_observed(kinds)}"]
+
 
 _IMAGES = "\nimages"  # no recording's name holds a line break
+
+
+def _observed(kinds: Iterable[str]) -> str:
+    return f"\nobserved {' '.join(sorted(kinds))}"

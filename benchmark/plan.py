@@ -32,12 +32,16 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Fit:
-    """One twin, fitted by ``method`` with ``seed`` on the recordings ``sources`` and shared by all its evaluations."""
+    """One twin, fitted by ``method`` with ``seed`` on the recordings ``sources`` and shared by all its evaluations.
+
+    ``skip`` says why it is not to be fitted, if it is not.
+    """
 
     method: str
     sources: tuple[str, ...]
     seed: int
     evaluations: tuple[Evaluation, ...]
+    skip: str = ""
 
 
 def plan(

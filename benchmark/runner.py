@@ -86,6 +86,9 @@ class Runner:
         return rows
 
     def _rows(self, fit: Fit, report: Progress) -> list[dict]:
+        if fit.skip:
+            skipped = self._row({"status": "skipped", "reason": fit.skip}, {})
+            return [{**self._identity(fit, evaluation), **skipped} for evaluation in fit.evaluations]
         fit_key = self._fit_key(fit)
         keys = {evaluation: self._row_key(fit_key, evaluation) for evaluation in fit.evaluations}
         found = {evaluation: self.cache.read("rows", key) for evaluation, key in keys.items()}
@@ -143,7 +146,8 @@ class Runner:
             return twin_class.load(folder), about
 
     def _fit(self, method: Method, fit: Fit, key: str, report: Progress) -> None:
-        observed = [scenario.observed() for scenario in self._held]
+        # a yardstick is no method: it is scored on what it has seen, and says so
+        observed = self._held if getattr(method, "whole", False) else [scenario.observed() for scenario in self._held]
         settings = self.settings
         options, spent = self._start(method, fit, report)
         reset_peak_memory()
@@ -256,9 +260,11 @@ class Runner:
         }
 
     def _fit_key(self, fit: Fit) -> str:
-        sources = [self._checksums[name] for name in fit.sources]
-        method = method_code(self._found(fit.method))
-        return digest(fit.method, method, sources, fit.seed, self.settings.preset, self.settings.device)
+        found = self._found(fit.method)
+        kinds = tuple(getattr(found, "reads_images", ()))  # plain callables make methods as well
+        self._checksums.learn(fit.sources, self._load, fitted=kinds)
+        sources = [[self._checksums[name], *([self._checksums.observed(name, kinds)] if kinds else [])] for name in fit.sources]
+        return digest(getattr(found, "key", fit.method), method_code(found), sources, fit.seed, self.settings.preset, self.settings.device)
 
     def _row_key(self, fit_key: str, evaluation: Evaluation) -> str:
         images = self._checksums.images(evaluation.target) if self.settings.images else ""

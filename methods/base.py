@@ -88,10 +88,14 @@ class Method(ABC):
 
     Where ``builds_on`` names another method, ``fit`` takes a further option ``start``: that method's twin of the same recordings with the
     same budget, seed and device, or None where the caller has none, which ``fit`` then makes itself.
+
+    ``reads_images`` names the kinds of images (color, depth, mask, human_mask) that ``fit`` looks at, those of the method it builds on
+    included. A twin is remembered by what it was fitted on, and images that nobody looks at are not read for that.
     """
 
     name: str
     builds_on: str | None = None
+    reads_images: tuple[str, ...] = ()
     skip_transfer: str | None = None  # why no twin of this method can be placed in another recording; its transfer rows say so
 
     @abstractmethod

@@ -9,27 +9,38 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
 from ..datasets.collection import nearest
 from .base import Method
 
-__all__ = ["Found", "declared", "get_method", "methods"]
+__all__ = ["Declared", "Found", "declared", "get_method", "methods"]
 
 
 ROOMS = ("methods", "diagnosis")
 
 
+@dataclass(frozen=True)
+class Declared:
+    """What the source of a method says of it."""
+
+    class_name: str
+    doc: str | None
+    reads_images: tuple[str, ...] = ()
+
+
 class Found:
     """A method that is there: called without arguments it imports the method and makes one. Carries the method's docstring.
 
-    ``room`` is the folder of the package that it was found in.
+    ``room`` is the folder of the package that it was found in, ``reads_images`` what its class says of that.
     """
 
-    def __init__(self, name: str, room: str, module: str, class_name: str, doc: str | None):
-        self.name, self.room, self._module, self._class = name, room, module, class_name
-        self.__doc__ = doc
+    def __init__(self, name: str, room: str, module: str, declared: Declared):
+        self.name, self.room, self._module, self._class = name, room, module, declared.class_name
+        self.__doc__, self.reads_images = declared.doc, declared.reads_images
 
     def __call__(self) -> Method:
         return getattr(import_module(self._module, __package__), self._class)()
@@ -43,8 +54,8 @@ def methods() -> dict[str, Callable[[], Method]]:
     found: dict[str, Callable[[], Method]] = {}
     for room, file in _files():
         module = f"..{room}." + (file.parent.name if file.name == "__init__.py" else file.stem)
-        for name, (class_name, doc) in declared(file.read_text(encoding="utf-8"), file.name).items():
-            method = Found(name, room, module, class_name, doc)
+        for name, found_here in declared(file.read_text(encoding="utf-8"), file.name).items():
+            method = Found(name, room, module, found_here)
             if name in found:
                 raise ValueError(f"two methods are called {name!r}: {found[name]!r} and {method!r}")
             found[name] = method
@@ -58,8 +69,8 @@ def _files():
             yield room, file
 
 
-def declared(source: str, file: str = "") -> dict[str, tuple[str, str | None]]:
-    """``{name: (class, docstring)}`` of the classes in a source text's ``METHODS``; empty where it has none.
+def declared(source: str, file: str = "") -> dict[str, Declared]:
+    """What the classes in a source text's ``METHODS`` say of themselves, by name; empty where it has none.
 
     Raises ValueError where a class listed there is not in the text, or has no ``name = "..."``.
     """
@@ -71,10 +82,11 @@ def declared(source: str, file: str = "") -> dict[str, tuple[str, str | None]]:
     found = {}
     for element in listed[-1].elts if listed and isinstance(listed[-1], ast.Tuple | ast.List) else ():
         class_name = ast.unparse(element)
-        name = _name(classes.get(class_name))
+        name = _stated(classes.get(class_name), "name")
         if name is None:
             raise ValueError(f'{file}: METHODS lists {class_name}, which must be a class of that file with a line name = "..."')
-        found[name] = (class_name, ast.get_docstring(classes[class_name]))
+        reads = _inherited(class_name, "reads_images", classes) or ()
+        found[name] = Declared(class_name, ast.get_docstring(classes[class_name]), tuple(reads))
     return found
 
 
@@ -82,11 +94,21 @@ def _assigns(node: ast.Assign, name: str) -> bool:
     return any(isinstance(target, ast.Name) and target.id == name for target in node.targets)
 
 
-def _name(node: ast.ClassDef | None) -> str | None:
+def _stated(node: ast.ClassDef | None, name: str):
+    """The literal that a class gives to ``name``, or None."""
     for line in node.body if node else ():
-        if isinstance(line, ast.Assign) and _assigns(line, "name") and isinstance(line.value, ast.Constant):
-            return line.value.value
+        if isinstance(line, ast.Assign) and _assigns(line, name):
+            with suppress(ValueError):
+                return ast.literal_eval(line.value)
     return None
+
+
+def _inherited(class_name: str, name: str, classes: dict[str, ast.ClassDef]):
+    """The literal that a class, or else the first of its bases in the same file, gives to ``name``, or None."""
+    node = classes.get(class_name)
+    bases = [ast.unparse(base) for base in node.bases] if node else []
+    said = [_stated(node, name), *(_inherited(base, name, classes) for base in bases)]
+    return next((value for value in said if value is not None), None)
 
 
 def get_method(name: str) -> Method:

@@ -26,7 +26,7 @@ from twinbench.benchmark.results import Results, read_results, write_results
 from twinbench.benchmark.runner import Runner, Settings
 from twinbench.benchmark.table import blocks, latex, markdown, notes, terminal
 from twinbench.datasets.collection import Collection
-from twinbench.datasets.scenario import Observed, Scenario, Split, TransferPair
+from twinbench.datasets.scenario import Camera, Observed, Scenario, Split, TransferPair
 from twinbench.methods.base import Diverged, Method, Trajectory, Twin
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
@@ -312,6 +312,56 @@ def test_other_circumstances_are_other_twins(tmp_path, change):
     before = calls["fit"]
     run(tmp_path, change.pop("found", None), **change)
     assert calls["fit"] > before
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Images of 2 x 2 pixels; ``changed`` is the (kind, camera, frame) of one that differs. Counts what is read."""
+
+    frame_count: int
+    changed: tuple = ()
+
+    def _read(self, kind, camera, frame):
+        calls[f"read {kind}"] += 1
+        if not 0 <= frame < self.frame_count:
+            raise IndexError(f"frame {frame} is not within reach")
+        return np.full((2, 2), self.changed == (kind, camera, frame))
+
+    def __getattr__(self, kind):
+        if kind not in ("color", "depth", "mask", "human_mask"):
+            raise AttributeError(kind)
+        return lambda camera, frame: self._read(kind, camera, frame)
+
+    def until(self, frame_count):
+        return replace(self, frame_count=min(frame_count, self.frame_count))
+
+
+def pictured(changed=()):
+    cameras = (Camera(np.eye(3), np.eye(4), 2, 2),) * 2
+    return collection(drag=replace(made("drag"), images=Pictures(FRAMES, changed), cameras=cameras), lift=made("lift", seed=1))
+
+
+@pytest.mark.parametrize(
+    ("changed", "fits"),
+    [
+        (("mask", 0, 1), 2),
+        (("mask", 1, TRAIN - 1), 2),  # no appearance looks there
+        (("mask", 0, TRAIN), 1),  # not observed
+        (("human_mask", 0, 1), 1),  # the method does not look at it
+        (("depth", 1, 0), 1),
+    ],
+)
+def test_a_twin_of_a_method_that_reads_images_is_known_by_those_it_may_see(tmp_path, changed, fits):
+    looking = type("Looking", (EchoMethod,), {"name": "looking", "reads_images": ("mask",)})
+    lengths = {"chamfer": metrics()["chamfer"]}
+    for found in (pictured(), pictured(), pictured(changed)):
+        run(tmp_path, found, use={"looking": looking}, metrics=lengths)
+    assert calls["fit"] == fits
+
+
+def test_images_that_no_method_and_no_metric_looks_at_are_not_read(tmp_path):
+    run(tmp_path, pictured(), metrics={"chamfer": metrics()["chamfer"]})
+    assert not [name for name in calls if name.startswith("read ")]
 
 
 def test_another_version_of_a_metric_scores_again_without_fitting(tmp_path):

@@ -42,6 +42,7 @@ class SpringGaus(Method):
 
     name = "spring-gaus"
     skip_transfer = IN_DOMAIN_ONLY
+    reads_images = ("mask", "human_mask")
     presets: ClassVar = {"quick": Config(**_QUICK), "full": Config()}
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
