@@ -18,6 +18,7 @@ SHARED = ("drawing.js", "curve.js")
 
 def page(results: Results, shown: Sequence[dict], methods: Mapping[str, str], notes: Iterable[str]) -> str:
     """The whole file. ``shown`` are exhibits as ``show`` gives them, ``methods`` says what each method is."""
+    boards = sheets(results)
     code = script(*map(asset, SHARED), asset("report.js", __package__))
     collections = list(dict.fromkeys(row["collection"] for row in results.rows))
     return Template(asset("report.html", __package__)).substitute(
@@ -26,12 +27,13 @@ def page(results: Results, shown: Sequence[dict], methods: Mapping[str, str], no
         style=asset("base.css") + asset("report.css", __package__),
         script=code,
         lead=escape(_lead(results)),
-        tables="".join(map(_table, sheets(results))),
+        tables="".join(map(_table, boards)),
         remarks=_list([*remarks(results), *notes]),
         methods=_methods(results, methods),
         origin=_list([*_origin(results), *filter(None, dict.fromkeys(results.citations.values()))]),
         data=embedded(
             {
+                "shown": list(dict.fromkeys(metric for sheet in boards for metric in sheet.block.metrics)),
                 "units": dict(results.units),
                 "directions": dict(results.directions),
                 "tasks": TASKS,

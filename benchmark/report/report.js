@@ -35,6 +35,11 @@ function made(tag, attributes = {}, ...children) {
   return found;
 }
 
+// A long name that may go on in the next line after each underscore.
+function broken(name) {
+  return name.split("_").flatMap((part, k) => (k ? ["_", made("wbr"), part] : [part]));
+}
+
 function shades(methods) {
   const style = getComputedStyle(document.documentElement);
   const get = (name) => style.getPropertyValue(`--${name}`).trim();
@@ -170,7 +175,7 @@ class Report {
     const canvas = made("canvas", { role: "img", "aria-label": `${metric} of each method by frame; the values are below` });
     const caption = made("figcaption", { "aria-live": "off" });
     const found = { metric, canvas, caption, unit: this.unit(metric) };
-    found.figure = made("figure", {}, made("h3", {}, `${metric}${found.unit.name ? ` [${found.unit.name}]` : ""}`), canvas, caption);
+    found.figure = made("figure", {}, made("h3", {}, this.heading(metric)), canvas, caption);
     const frame = (event) => frameAxis(canvas.clientWidth, this.exhibit.frames).frame(event.offsetX);
     canvas.addEventListener("pointerdown", (event) => { this.stop(); canvas.setPointerCapture(event.pointerId); this.seek(frame(event)); });
     canvas.addEventListener("pointermove", (event) => {
@@ -187,23 +192,28 @@ class Report {
     return name === "m" ? { scale: 1000, name: "mm", digits: 2 } : { scale: 1, name, digits: 3 };
   }
 
+  heading(metric) {
+    const { name } = this.unit(metric);
+    return name ? `${metric} [${name}]` : metric;
+  }
+
   said(value, { scale, digits }) {
     return value === null || value === undefined ? "-" : (scale * value).toFixed(digits);
   }
 
   scores() {
     const rows = this.exhibit.rows.filter((row) => !this.hidden.has(row.method));
-    const metrics = Object.keys(this.run.units).filter((metric) => rows.some((row) => row.values[metric] !== null && metric in row.values));
-    const heads = ["method", "task", ...metrics.map((metric) => `${metric}${this.unit(metric).name ? ` [${this.unit(metric).name}]` : ""}`), "frames", ""];
+    const metrics = this.run.shown.filter((metric) => rows.some((row) => row.values[metric] !== null && metric in row.values));
+    const heads = ["method", "task", ...metrics.map((metric) => this.heading(metric)), "frames", ""];
     const lines = rows.map((row) => {
       const values = metrics.map((metric) => {
         const title = row.missing[metric] || "";
         return made("td", title && row.values[metric] === null ? { title } : {}, this.said(row.values[metric], this.unit(metric)));
       });
       const ended = row.status === "ok" ? row.note : this.ended(row);
-      return made("tr", {}, made("th", { scope: "row" }, row.method), made("td", {}, row.task), ...values, made("td", {}, `${row.frames || ""}`), made("td", { className: "why" }, ended || ""));
+      return made("tr", {}, made("th", { scope: "row" }, row.method), made("td", { className: "text" }, row.task), ...values, made("td", {}, `${row.frames || ""}`), made("td", { className: "text why" }, ended || ""));
     });
-    const head = made("thead", {}, made("tr", {}, ...heads.map((name) => made("th", { scope: "col" }, name))));
+    const head = made("thead", {}, made("tr", {}, ...heads.map((name) => made("th", { scope: "col" }, ...broken(name)))));
     const table = made("table", { className: "scores" }, head, made("tbody", {}, ...lines));
     return made("div", { className: "scroll", tabIndex: 0, role: "region", "aria-label": "Scores of these roll-outs" }, table);
   }
@@ -249,7 +259,7 @@ class Report {
     const { points, unpacked, camera, name, kept, reasons } = this.exhibit;
     const k = this.stored;
     const twin = method && unpacked.twins[method];
-    const shown = !method || Boolean(twin && twin.some(k));
+    const shown = !method || Boolean(twin && [...Array(twin.count).keys()].some((i) => twin.at(k, i)));
     words.hidden = shown;
     words.textContent = shown ? "" : reasons[method] || "it has left the scene";
     canvas.setAttribute("aria-label", `${name}, frame ${kept[k]}: recorded points${method ? ` and the twin of ${method}` : ""}. Arrow keys turn the view.`);
