@@ -17,10 +17,10 @@ from twinbench.methods.appearance.losses import ssim, view_loss
 from twinbench.methods.appearance.render import draw, render
 from twinbench.methods.appearance.skinning import Skinning, bone_rotations, quaternions, rotated
 from twinbench.methods.appearance.splats import Viewpoint, project
-from twinbench.methods.appearance.threads import threads_for
 from twinbench.methods.appearance.tiles import blend
 from twinbench.methods.appearance.views import frame_zero, starting_points
 from twinbench.methods.base import Trajectory
+from twinbench.methods.threads import threads_for
 
 # principal point off the centre, unequal focal lengths, skewed pixels, a turned and shifted pose
 TURN = np.array([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])

@@ -118,8 +118,8 @@ class Animated:
 
     def image(self, camera: Camera, frame: int) -> np.ndarray:
         """What ``camera`` sees of the body in ``frame``: RGBA (H, W, 4) float32 in 0..1, colours multiplied by alpha (over black)."""
+        from ..threads import threads_for
         from .render import render
-        from .threads import threads_for
 
         with threads_for(camera.width * camera.height):
             return render(self.gaussians(frame), camera).clamp(0, 1).float().cpu().numpy()

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from ..threads import threads_for
 from .config import Config, Quirks
 from .gaussians import Gaussians
 from .growing import Growing
 from .harmonics import CONSTANT
 from .losses import view_loss
 from .render import draw
-from .threads import threads_for
 
 __all__ = ["camera_extent", "fit_gaussians", "starting_gaussians"]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..threads import threads_for
 from .config import Config
 from .graph import edges, farthest_points
 from .network import Network
@@ -118,7 +119,7 @@ def train(clips, config: Config, *, seed: int = 0, device: str = "cpu", progress
     random = np.random.default_rng(seed)
     windows = [(clip, window) for clip in clips for window in clip.windows]
     optimizer = torch.optim.Adam(network.parameters(), lr=config.rate)
-    with _repeatable():
+    with threads_for(config.batch * config.most_nodes * config.width), _repeatable():
         for update in range(config.iterations):
             drawn = [windows[k] for k in random.integers(len(windows), size=config.batch)]
             sample = collate([draw(clip, window, config, random) for clip, window in drawn])

@@ -27,6 +27,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from ..base import Method
+from ..threads import threads_for
 from .config import AS_PUBLISHED, IN_DOMAIN_ONLY, Config
 
 __all__ = ["METHODS", "SpringGaus", "SpringGausAsPublished"]
@@ -73,9 +74,10 @@ class SpringGaus(Method):
         model = Model(made, gravity=one.gravity, ground=one.ground, fps=one.fps, device=device)
         scale = max(SCALE, one.spacing / 2)
         network = perceptual_network(device)
-        opacity = opacities(model.gaussians, scale, seen, config.opacity_steps, random)
         hands = torch.as_tensor(one.controllers.copy(), dtype=torch.float32, device=device)
-        learned = learn(model, opacity, scale, seen, hands, config, random, network=network, progress=progress)
+        with threads_for(max(*(view.width * view.height for view in seen.views), len(one.structure) * config.bound)):
+            opacity = opacities(model.gaussians, scale, seen, config.opacity_steps, random)
+            learned = learn(model, opacity, scale, seen, hands, config, random, network=network, progress=progress)
         return SpringGausTwin(
             body=made,
             learned={name: values.cpu().numpy() for name, values in vars(learned.material).items()},
