@@ -6,7 +6,7 @@ import errno
 import os
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -28,78 +28,100 @@ class Run:
     repeated run is instant. A method that fails or diverges on a recording is said below the table; the exit code is 1 if any failed.
     """
 
-    data: Annotated[tuple[str, ...], arg(metavar="PATH ...")] = ("sample",)
-    """Recordings: "sample" for the ones that ship with twinbench, or folders in a known layout (see twinbench list)."""
+    data: Annotated[tuple[str, ...] | None, arg(metavar="PATH ...")] = None
+    """Recordings: "sample" for the ones that ship with twinbench (the default), or folders in a known layout (see twinbench list)."""
     scenarios: Names = ()
     """Score only these recordings. Default: all."""
-    methods: Names = ("static", "rigid", "phystwin")
-    """Methods to compare (see twinbench list), with spaces or commas between them."""
+    methods: Names | None = None
+    """Methods to compare (see twinbench list), with spaces or commas between them, or all. Default: static rigid phystwin."""
+    ablation: str = ""
+    """Compare what an ablation compares (see twinbench list), instead of methods."""
     metrics: Names = ()
     """Score only these (see twinbench list). Default: all. Without those of images no appearance is fitted, which is much faster."""
-    tasks: Names = ("resimulation", "prediction", "transfer")
-    """Any of: resimulation, prediction, transfer."""
+    tasks: Names | None = None
+    """Any of: resimulation, prediction, transfer. Default: all; of an ablation, its own."""
     seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0,)
     """Seeds; every method is fitted once with each."""
     preset: str = "quick"
-    """How much work a fit may do: quick or full."""
+    """How much work a fit may do: quick or full. paper: full, and all tables of the PhysTwin paper for the recordings in ./data."""
     device: str = "cpu"
     """Where to compute: cpu or cuda."""
     split: str = "published"
     """Which split: published, or clean (no recording session on both sides)."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Folder for rows.parquet, rows.csv, table.md and table.tex. Default: results/NAME of the recordings."""
+    """Folder for the rows, table.md, table.tex and the leaderboard. Default: results/NAME of the recordings; an ablation's beside it."""
+    leaderboard: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder for leaderboard.md, leaderboard.csv and leaderboard.tex. Default: that of --out."""
     report: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write one HTML file with the tables and, frame by frame, what every twin did. It opens without a network."""
 
     def __call__(self) -> int:
         from .cache import Cache, default_cache
         from .opening import open_recordings
-        from .plan import TASKS, plan
-        from .progress import Bar
-        from .results import Results, write_results
-        from .runner import Runner, Settings
-        from .table import terminal
+        from .presets import PRESETS
 
-        for option, value, known in (("preset", self.preset, _PRESETS), ("device", self.device, _DEVICES), ("split", self.split, _SPLITS)):
+        for option, value, known in (("preset", self.preset, PRESETS), ("device", self.device, _DEVICES), ("split", self.split, _SPLITS)):
             _known(option, [value], known)
         for option in ("data", "methods", "tasks", "seeds"):
-            if not getattr(self, option):
+            if getattr(self, option) == ():
                 raise ValueError(f"--{option} needs at least one value")
-        _known("task", self.tasks, TASKS)
-        methods, metrics = _methods(self.methods), _metrics(self.metrics)
-        settings, cache = Settings(methods, metrics, self.preset, self.device), Cache(default_cache())
-        opened = [open_recordings(path, split=self.split, cache=cache) for path in dict.fromkeys(self.data)]
+        preset, cache = PRESETS[self.preset], Cache(default_cache())
+        wanted = self._experiments(preset)
+        opened = [open_recordings(path, split=self.split, cache=cache) for path in dict.fromkeys(self.data or preset.data)]
         _known("scenario", self.scenarios, list(dict.fromkeys(name for found in opened for name in found.collection.scenarios)))
-        work = []
-        for found in opened:
-            chosen = tuple(name for name in self.scenarios if name in found.collection.scenarios)
-            fits = plan(found.collection, methods=methods, tasks=self.tasks, seeds=self.seeds, scenarios=chosen)
-            if fits and (chosen or not self.scenarios):
-                work.append((found, Runner(found, settings, cache), fits))
-        if not work:
-            raise ValueError(f"nothing to do: no task of {', '.join(self.tasks)} is scored on the chosen recordings")
-        folder = _folder(self.out or Path("results") / "+".join(dict.fromkeys(runner.collection.name for _, runner, _ in work)))
-        if self.report:
-            _folder(self.report.parent, option="--report")
-        rows = []
-        for _, runner, fits in work:
-            with Bar(runner.collection.name) as bar:
-                rows += runner.run(fits, progress=bar)
-        results = Results.of(rows, metrics, [found.collection for found in opened])
-        written = write_results(results, folder)
-        print(terminal(results))
-        notes = [found.note for found in opened if found.note]
+        planned = [(one, work) for one in wanted if (work := one.plan(opened, seeds=self.seeds, scenarios=self.scenarios))]
+        if not planned:
+            raise ValueError(f"nothing to do: no task of {', '.join(wanted[0].tasks)} is scored on the chosen recordings")
+        failed = [self._run(one, work, cache, preset.budget, alone=len(planned) == 1) for one, work in planned]
+        return 1 if any(failed) else 0
+
+    def _experiments(self, preset) -> list:
+        """The main table and the preset's ablations, or the one ablation that is asked for."""
+        from .ablations import ABLATIONS
+        from .experiment import Experiment
+        from .plan import TASKS
+
+        tasks, metrics = self.tasks or (), _metrics(self.metrics)
+        _known("task", tasks, TASKS)
+        if self.ablation:
+            _known("ablation", [self.ablation], ABLATIONS)
+            found = Experiment.of(self.ablation, metrics, tasks=tasks)
+            return [replace(found, methods=_chosen("variant", self.methods, found.methods))] if self.methods else [found]
+        main = Experiment(_methods(self.methods or preset.methods), metrics, tuple(tasks) or tuple(TASKS))
+        further = () if self.methods or self.tasks else preset.ablations
+        return [main, *(Experiment.of(name, metrics) for name in further)]
+
+    def _run(self, experiment, work, cache, budget: str, *, alone: bool) -> bool:
+        """One table: computed, written and printed. Whether anything in it failed."""
+        from .leaderboard import write_leaderboard
+        from .results import write_results
+        from .table import terminal
+
+        name, own = experiment.name, "" if alone else experiment.name
+        folder = Path("results") / "-".join(filter(None, ("+".join(dict.fromkeys(found.collection.name for found, _ in work)), name)))
+        folder = _folder(self.out / own if self.out else folder)
+        board = _folder(self.leaderboard / own if self.leaderboard else folder, option="--leaderboard")
+        report = self.report and self.report.with_stem("-".join(filter(None, (self.report.stem, own))))
+        if report:
+            _folder(report.parent, option="--report")
+        results = experiment.run(work, cache=cache, budget=budget, device=self.device)
+        written = [*write_results(results, folder), *write_leaderboard(results, board, says=experiment.says)]
+        print("\n\n".join(filter(None, (experiment.says, terminal(results)))))
+        notes = [found.note for found, _ in work if found.note]
         for note in notes:
             print(note)
-        print(f"\nWritten to {folder}: {', '.join(path.name for path in written)}")
-        if self.report:
+        for place in dict.fromkeys(path.parent for path in written):
+            print(f"\nWritten to {place}: {', '.join(path.name for path in written if path.parent == place)}")
+        if report:
+            from .progress import Bar
             from .report import Replay, write_report
 
+            settings = experiment.settings(budget, self.device)
             with Bar("report") as bar:
-                runs = [(Replay(found, settings, cache), fits) for found, _, fits in work]
-                write_report(results, runs, self.report, notes=notes, progress=bar)
-            print(f"Report: {self.report}")
-        return 1 if any(row["status"] == "failed" for row in rows) else 0
+                runs = [(Replay(found, settings, cache), fits) for found, fits in work]
+                write_report(results, runs, report, notes=notes, progress=bar)
+            print(f"Report: {report}")
+        return any(row["status"] == "failed" for row in results.rows)
 
 
 @dataclass(frozen=True)
@@ -229,6 +251,7 @@ class List:
     def __call__(self) -> int:
         from ..datasets.collection import layouts
         from ..methods.registry import methods
+        from .ablations import ABLATIONS
         from .cache import Cache, default_cache
         from .opening import open_recordings
         from .plan import TASKS
@@ -238,6 +261,7 @@ class List:
         _section("methods", {name: _first_line(method) for name, method in methods().items()})
         _section("metrics", {m.name: f"{_first_line(type(m))} {m.direction.capitalize()} is better." for m in metrics})
         _section("tasks", TASKS)
+        _section("ablations", {name: found.says for name, found in ABLATIONS.items()})
         _section("layouts", {name: _first_line(type(layout)) for name, layout in layouts().items()})
         for path in self.data:
             collection = open_recordings(path, split=self.split, cache=Cache(default_cache())).collection
@@ -391,7 +415,8 @@ def _folder(path: Path, *, option: str = "--out") -> Path:
 def _methods(names: Iterable[str]) -> dict:
     from ..methods.registry import methods
 
-    return _chosen("method", names, methods())
+    found = methods()
+    return _chosen("method", [one for name in names for one in (found if name == "all" else [name])], found)
 
 
 def _metrics(names: Iterable[str] = ()) -> dict:

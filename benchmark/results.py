@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ..datasets.collection import Collection
@@ -41,6 +41,13 @@ class Results:
             {collection.name: collection.citation for collection in collections},
             tuple(name for name, metric in metrics.items() if metric.pooled),
         )
+
+    def beside(self, methods: Sequence[str] | None) -> Results:
+        """The same with published figures of these methods only; None means all."""
+        if methods is None:
+            return self
+        kept = {name: {key: v for key, v in found.items() if key[1] in methods} for name, found in self.published.items()}
+        return replace(self, published=kept)
 
 
 def write_results(results: Results, folder: Path) -> list[Path]:

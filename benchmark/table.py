@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from .plan import TASKS
 from .results import Results
 
-__all__ = ["Block", "Line", "Sheet", "blocks", "latex", "markdown", "notes", "remarks", "sheets", "terminal"]
+__all__ = ["Block", "Line", "Sheet", "blocks", "escape", "latex", "markdown", "notes", "number", "remarks", "sheets", "terminal"]
 
 
 @dataclass(frozen=True)
@@ -164,12 +164,17 @@ def _left_out(results: Results) -> list[str]:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table as every format prints it: ``cells`` of each of the block's lines, as text and whether it is the best of its column."""
+    """A table as every format prints it: ``cells`` of each of the block's lines, as text and whether it is the best of its column.
+
+    ``units`` and ``directions`` are those of all metrics.
+    """
 
     block: Block
     caption: str
     header: tuple[str, ...]
     cells: tuple[tuple[tuple[str, bool], ...], ...]
+    units: Mapping[str, str]
+    directions: Mapping[str, str]
 
 
 def sheets(results: Results) -> list[Sheet]:
@@ -180,6 +185,8 @@ def sheets(results: Results) -> list[Sheet]:
             _caption(block),
             tuple(_header(block, dict(results.units))),
             tuple(tuple(_cells(block, line, results)) for line in block.lines),
+            results.units,
+            results.directions,
         )
         for block in blocks(results)
     ]
@@ -203,7 +210,7 @@ def _cells(block: Block, line: Line, results: Results) -> list[tuple[str, bool]]
         if not count:
             cells.append(("-", False))
             continue
-        text = f"{mean * 1e3:.2f}" if results.units[metric] == "m" else f"{mean:.3f}"
+        text = number(mean, results.units[metric])
         if line.published:
             text = text.rstrip("0").rstrip(".").ljust(len(text))  # never more digits than were published, the point in its place
         elif count < line.scored:
@@ -211,6 +218,11 @@ def _cells(block: Block, line: Line, results: Results) -> list[tuple[str, bool]]
         cells.append((text, line.method in block.best(metric, results.directions[metric])))
     n = "" if line.published else str(line.rows) if line.scored == line.rows else f"{line.scored} of {line.rows}"
     return [*cells, (n, False), ("" if math.isnan(line.fit_seconds) else f"{line.fit_seconds:.1f}", False)]
+
+
+def number(value: float, unit: str) -> str:
+    """A value as tables print it: lengths in millimetres."""
+    return f"{value * 1e3:.2f}" if unit == "m" else f"{value:.3f}"
 
 
 def _caption(block: Block) -> str:
@@ -284,18 +296,20 @@ def latex(results: Results) -> str:
     """The tables in LaTeX (package booktabs); the best of a column is bold."""
     parts = []
     for block in blocks(results):
-        header = [_escape(name) for name in _header(block, dict(results.units))]
+        header = [escape(name) for name in _header(block, dict(results.units))]
         rows = [
-            [f"\\textbf{{{_escape(text)}}}" if best else _escape(text.strip()) for text, best in _cells(block, line, results)]
+            [f"\\textbf{{{escape(text)}}}" if best else escape(text.strip()) for text, best in _cells(block, line, results)]
             for line in block.lines
         ]
         lines = [" & ".join(row) + r" \\" for row in rows]
         body = [r"\toprule", " & ".join(header) + r" \\", r"\midrule", *lines, r"\bottomrule"]
-        begin = [r"\begin{table}", r"\centering", rf"\caption{{{_escape(_caption(block))}.}}"]
+        begin = [r"\begin{table}", r"\centering", rf"\caption{{{escape(_caption(block))}.}}"]
         parts.append("\n".join([*begin, rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", *body, r"\end{tabular}", r"\end{table}"]))
     return "\n\n".join(parts) + "\n"
 
 
-def _escape(text: str) -> str:
+def escape(text: str) -> str:
+    """``text`` for LaTeX."""
     replaced = {"\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    replaced |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$"}
     return "".join(replaced.get(character, "\\" + character if character in "_%&#$" else character) for character in text)

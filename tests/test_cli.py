@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,8 @@ def test_run_prints_and_writes_the_table(cases, capsys):
         assert text in out
     assert err == ""  # the progress bar keeps quiet without a terminal
     folder = Path("results/thing")
-    assert sorted(file.name for file in folder.iterdir()) == ["about.json", "rows.csv", "rows.parquet", "table.md", "table.tex"]
+    tables = [f"{name}.{kind}" for name, kinds in {"leaderboard": ("csv", "md", "tex"), "table": ("md", "tex")}.items() for kind in kinds]
+    assert sorted(file.name for file in folder.iterdir()) == sorted(["about.json", "rows.csv", "rows.parquet", *tables])
     # resimulation: frames 1..6 at 10 mm a frame along z, where the static twin's matched particles stay behind: mean 35 mm
     line = next(line for line in (folder / "table.md").read_text().splitlines() if line.startswith("| static"))
     assert "| 35.00 |" in line
@@ -78,6 +80,64 @@ def test_scenarios_tasks_and_seeds_are_chosen(cases, capsys):
     assert len(lines) == 1 + 2 * 2 and all("lift_twice" in line and ",prediction," in line for line in lines[1:])
 
 
+def test_the_leaderboard_goes_where_it_is_asked(cases):
+    assert run("--data", cases, "--out", "o", "--leaderboard", "board", "--seeds", 0, 1) == 0
+    assert sorted(file.name for file in Path("board").iterdir()) == ["leaderboard.csv", "leaderboard.md", "leaderboard.tex"]
+    assert not list(Path("o").glob("leaderboard*"))
+    # two recordings and two seeds of a method without randomness: over seeds, and nothing varies
+    assert "| 35.00 ± 0.00 |" in Path("board/leaderboard.md").read_text()
+
+
+def test_all_stands_for_every_method(cases, monkeypatch):
+    from twinbench.methods import registry
+
+    few = {name: found for name, found in registry.methods().items() if name in ("static", "rigid")}
+    monkeypatch.setattr(registry, "methods", lambda: few)
+    assert main(["run", "--methods", "all", "--data", str(cases), "--out", "o"]) == 0
+    assert {row.split(",")[3] for row in Path("o/rows.csv").read_text().splitlines()[1:]} == set(few)
+
+
+@pytest.fixture
+def ablations(monkeypatch):
+    from twinbench.benchmark.ablations import ABLATIONS, Ablation
+
+    made = {"bodies": Ablation("whether bodies move", ("static", "rigid"), metrics=("track_error",)), "tracker": ABLATIONS["tracks"]}
+    made["tracker"] = replace(made["tracker"], compared=("static",))
+    monkeypatch.setattr("twinbench.benchmark.ablations.ABLATIONS", made)
+    monkeypatch.setattr("twinbench.benchmark.experiment.ABLATIONS", made)
+    return made
+
+
+def test_an_ablation_prints_and_writes_its_own_table(cases, ablations, capsys):
+    assert main(["run", "--ablation", "bodies", "--data", str(cases)]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("bodies: whether bodies move\n\nthing, resimulation") and "transfer" not in out
+    header = Path("results/thing-bodies/table.md").read_text().splitlines()[2]
+    assert header == "| method | track_error [mm] | n | fit [s] |"
+    assert "bodies: whether bodies move" in Path("results/thing-bodies/leaderboard.md").read_text()
+    assert main(["run", "--ablation", "bodies", "--methods", "rigid", "--tasks", "transfer", "--data", str(cases), "--out", "o"]) == 0
+    assert {tuple(row.split(",")[3:5]) for row in Path("o/rows.csv").read_text().splitlines()[1:]} == {("rigid", "transfer")}
+
+
+def test_the_trackers_own_tracks_are_scored_beside_a_twin(cases, ablations, capsys):
+    # tracks are three of the tracked points, which are seen in every frame: the tracker is exact, and the static twin is 35 mm off
+    assert main(["run", "--ablation", "tracker", "--data", str(cases)]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith(("tracker  ", "static  "))]
+    assert [row[:2] for row in rows[:2]] == [["static", "35.00"], ["tracker", "0.00*"]]
+
+
+def test_a_preset_may_hold_several_tables(cases, ablations, monkeypatch, capsys):
+    from twinbench.benchmark.presets import PRESETS, Preset
+
+    monkeypatch.setitem(PRESETS, "paper", Preset("quick", (str(cases),), ("static",), ("bodies",)))
+    assert main(["run", "--preset", "paper", "--out", "o"]) == 0
+    out = capsys.readouterr().out
+    assert out.index("thing, transfer") < out.index("bodies: whether bodies move")
+    assert Path("o/table.md").exists() and Path("o/bodies/table.md").exists()
+    assert main(["run", "--preset", "paper", "--methods", "rigid"]) == 0  # who says what to compare is given that alone
+    assert "bodies:" not in capsys.readouterr().out
+
+
 def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
     # the sample has images, and the baselines need no time
     assert run("--metrics", "chamfer,track_error", "--out", "o") == 0
@@ -93,7 +153,11 @@ def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
         (["run", "--methods", "ridgid"], "unknown method 'ridgid'; did you mean 'rigid'?"),
         (["run", "--metrics", "chamfre"], "unknown metric 'chamfre'; did you mean 'chamfer'?"),
         (["run", "--tasks", "predictoin"], "unknown task 'predictoin'; did you mean 'prediction'?"),
-        (["run", "--preset", "ful"], "unknown preset 'ful'; did you mean 'full'? known: quick, full"),
+        (["run", "--preset", "ful"], "unknown preset 'ful'; did you mean 'full'? known: quick, full, paper"),
+        (["run", "--ablation", "stage"], "unknown ablation 'stage'; did you mean 'stages'?"),
+        (["run", "--ablation", "stages", "--methods", "phystwin-zer"], "unknown variant 'phystwin-zer'; did you mean 'phystwin-zero'?"),
+        (["run", "--preset", "paper"], "no recordings at data: no such file or folder"),
+        (["run", "--methods", "static", "--leaderboard", __file__], "choose another with --leaderboard"),
         (["run", "--device", "cuda:0"], "unknown device 'cuda:0'; did you mean 'cuda'? known: cpu, cuda"),
         (["run", "--split", "claen"], "unknown split 'claen'; did you mean 'clean'?"),
         (["run", "--methods", "static", "--data", "nowhere"], "no recordings at nowhere: no such file or folder"),
@@ -176,7 +240,17 @@ def test_the_recordings_that_ship_are_known_by_name(capsys):
 def test_list_names_everything(cases, capsys):
     assert main(["list", "--data", str(cases)]) == 0
     out = capsys.readouterr().out
-    for text in ("static", "rigid", "chamfer", "coordinate_error", "prediction", "phystwin", "lift_once", "transfer from lift_once"):
+    for text in (
+        "static",
+        "rigid",
+        "chamfer",
+        "coordinate_error",
+        "prediction",
+        "phystwin",
+        "lift_once",
+        "transfer from lift_once",
+        "stages",
+    ):
         assert text in out
 
 
