@@ -50,6 +50,8 @@ class Variant:
             method.presets = {preset: changed(config, self.config) for preset, config in method.presets.items()}
         if self.stages is not None:
             method.stages = self.stages
+        if self.key != self.method:
+            method.builds_on = None  # what it builds on is changed alike, so it makes that itself
         return method if self.cameras is None else FewerCameras(method, self.cameras)
 
     @property
@@ -67,7 +69,7 @@ class Variant:
     def reads_images(self) -> tuple[str, ...]:
         """The kinds of images that a fit looks at."""
         own = methods()[self.method].reads_images
-        return own if self.cameras is None else (*own, *(kind for kind in FewerCameras.kinds if kind not in own))
+        return own if self.cameras is None else _with(own)
 
 
 def changed(config, changes: Mapping[str, object]):
@@ -90,14 +92,20 @@ def quirks(method: str) -> tuple[str, ...]:
     return tuple(f.name for f in fields(next(iter(presets.values())).quirks)) if presets else ()
 
 
+_KINDS = ("mask", "depth")  # which say what a camera saw
+
+
+def _with(kinds: tuple[str, ...]) -> tuple[str, ...]:
+    return (*kinds, *(kind for kind in _KINDS if kind not in kinds))
+
+
 class FewerCameras(Method):
     """A method that is fitted with what the first ``count`` cameras saw."""
-
-    kinds = ("mask", "depth")
 
     def __init__(self, method: Method, count: int):
         self.method, self.count = method, count
         self.name, self.builds_on, self.skip_transfer = method.name, method.builds_on, method.skip_transfer
+        self.reads_images = _with(method.reads_images)
 
     def fit(self, observed: Sequence[Observed], **options):
         return self.method.fit([seen_by(one, self.count) for one in observed], **options)
@@ -114,7 +122,7 @@ def _too_few(observed: Observed, count: int) -> str | None:
     if observed.images is None:
         return "the recording has no images, so nobody knows which camera saw what"
     try:
-        for kind in FewerCameras.kinds:
+        for kind in _KINDS:
             getattr(observed.images, kind)(0, 0)
     except (OSError, ValueError) as error:
         return f"nobody knows which camera saw what: {error}"
