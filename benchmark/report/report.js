@@ -1,6 +1,7 @@
 // Sorts the tables, and shows one recording at a time: pictures or points, curves and scores, all at the frame of the slider.
 
 const SERIES = 8; // colours; further methods have them again, dashed
+const FEW = 60; // points, as on a cable, are drawn larger
 const SPEED = 30; // frames per second where the recording does not say
 
 // Lines in the order of a column: the best of a column of numbers is not known here, so the first click ascends and the next descends.
@@ -43,7 +44,7 @@ function broken(name) {
 function shades(methods) {
   const style = getComputedStyle(document.documentElement);
   const get = (name) => style.getPropertyValue(`--${name}`).trim();
-  const names = ["ink", "quiet", "line", "grid", "observed", "hand"];
+  const names = ["ink", "quiet", "line", "grid", "observed"];
   const series = Object.fromEntries(methods.map((method, k) => [method, get(`series-${k % SERIES}`)]));
   return { ...Object.fromEntries(names.map((name) => [name, get(name)])), series };
 }
@@ -73,8 +74,11 @@ class Report {
   }
 
   title({ name, sources, transfer }) {
-    if (!transfer) return name;
-    return `${name}, by twins of ${sources.length > 3 ? `${sources.length} recordings` : sources.join(" + ")}`;
+    return transfer ? `${name}, by twins of ${this.several(sources)}` : name;
+  }
+
+  several(names) {
+    return names.length > 3 ? `${names.length} recordings` : names.join(" + ");
   }
 
   choose(index) {
@@ -88,8 +92,8 @@ class Report {
     element("frame").max = exhibit.frames - 1;
     element("about").textContent = this.about();
     element("outline-line").hidden = !exhibit.pictures;
-    const drawn = exhibit.pictures ? "" : "Drag or use the arrow keys to turn the drawings, plus and minus to zoom. ";
-    const thinned = exhibit.kept.length < exhibit.frames ? `${exhibit.kept.length} of ${exhibit.frames} frames are shown; the nearest one is.` : "";
+    const drawn = exhibit.pictures ? "" : "Grey: recorded, coloured: the twin's surface, squares: hands or driven markers. Drag or use the arrow keys to turn the drawings, plus and minus to zoom. ";
+    const thinned = exhibit.kept.length < exhibit.frames ? `Of ${exhibit.frames} frames ${exhibit.kept.length} are here; the nearest is shown.` : "";
     element("hint").textContent = drawn + thinned;
     this.offer();
     this.furnish();
@@ -98,7 +102,7 @@ class Report {
 
   about() {
     const { sources, transfer, seed, frames, train_end: end, no_pictures: why } = this.exhibit;
-    const fitted = transfer ? `Fitted on ${sources.join(", ")} and placed in frame 0 of this recording; no other frame of it was fitted.`
+    const fitted = transfer ? `Fitted on ${this.several(sources)} and placed in frame 0 of this recording; no other frame of it was fitted.`
       : `Fitted on frames 0 to ${end - 1}${end < frames ? `; frames ${end} to ${frames - 1} were never seen` : ""}.`;
     return `${fitted} Seed ${seed}.${why ? ` Drawn as points: ${why}.` : ""}`;
   }
@@ -204,14 +208,17 @@ class Report {
   scores() {
     const rows = this.exhibit.rows.filter((row) => !this.hidden.has(row.method));
     const metrics = this.run.shown.filter((metric) => rows.some((row) => row.values[metric] !== null && metric in row.values));
-    const heads = ["method", "task", ...metrics.map((metric) => this.heading(metric)), "frames", ""];
+    const ended = (row) => (row.status === "ok" ? row.note : this.ended(row)) || "";
+    const why = rows.some(ended); // a column only where there is something to say
+    const heads = ["method", "task", ...metrics.map((metric) => this.heading(metric)), "frames", ...(why ? [""] : [])];
     const lines = rows.map((row) => {
       const values = metrics.map((metric) => {
         const title = row.missing[metric] || "";
         return made("td", title && row.values[metric] === null ? { title } : {}, this.said(row.values[metric], this.unit(metric)));
       });
-      const ended = row.status === "ok" ? row.note : this.ended(row);
-      return made("tr", {}, made("th", { scope: "row" }, row.method), made("td", { className: "text" }, row.task), ...values, made("td", {}, `${row.frames || ""}`), made("td", { className: "text why" }, ended || ""));
+      const names = [made("th", { scope: "row" }, row.method), made("td", { className: "text" }, row.task)];
+      const last = why ? [made("td", { className: "text why" }, ended(row))] : [];
+      return made("tr", {}, ...names, ...values, made("td", {}, `${row.frames || ""}`), ...last);
     });
     const head = made("thead", {}, made("tr", {}, ...heads.map((name) => made("th", { scope: "col" }, ...broken(name)))));
     const table = made("table", { className: "scores" }, head, made("tbody", {}, ...lines));
@@ -272,9 +279,10 @@ class Report {
         if (at) items.push({ depth: at[2], draw: () => mark(at) });
       }
     };
-    add(unpacked.recorded, (at) => disc(context, at, method ? 2.4 : 2, this.colours.observed));
-    if (twin) add(twin, (at) => disc(context, at, 1.6, this.colours.series[method]));
-    add(unpacked.hands, (at) => square(context, at, 2, this.colours.hand));
+    const size = unpacked.recorded.count < FEW ? 1.6 : 1;
+    add(unpacked.recorded, (at) => disc(context, at, 2.3 * size, this.colours.observed));
+    if (twin) add(twin, (at) => disc(context, at, 1.6 * size, this.colours.series[method]));
+    add(unpacked.hands, (at) => square(context, at, 1.2, this.colours.ink));
     items.sort((a, b) => a.depth - b.depth).forEach(({ draw }) => draw());
     drawScaleBar(context, camera, { x: 0, y: 0, width, height }, this.colours);
   }
