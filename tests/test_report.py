@@ -96,6 +96,32 @@ class Refusing(Hold):
         return "there is nothing that it wants"
 
 
+class Dots:
+    """An appearance at no cost: every surface point is a white square of 3 x 3 pixels over black."""
+
+    @classmethod
+    def fit(cls, observed, **options):
+        calls["appearance"] += 1
+        return cls()
+
+    def save(self, folder):
+        (folder / "dots.json").write_text("{}")
+
+    @classmethod
+    def load(cls, folder):
+        return cls()
+
+    def animate(self, trajectory):
+        def image(camera, frame):
+            drawn = np.zeros((camera.height, camera.width, 4), np.float32)
+            pixels, _ = camera.project(trajectory.surface[frame])
+            for column, row in np.rint(pixels - 0.5).astype(int):
+                drawn[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2] = 1
+            return drawn
+
+        return SimpleNamespace(image=image)
+
+
 MADE = {kind.name: kind for kind in (Hold, Blown, Late, Refusing)}
 
 
@@ -140,7 +166,7 @@ class Document(HTMLParser):
 def ran(opened, folder, use, names, *, seeds=(0,)):
     """A run and its report: the rows, the page, and what the page embeds."""
     cache = Cache(folder / "cache")
-    settings = Settings(use, {name: get_metric(name) for name in names})
+    settings = Settings(use, {name: get_metric(name) for name in names}, appearance=lambda: Dots)
     fits = plan(opened.collection, methods=use, seeds=seeds)
     rows = Runner(opened, settings, cache).run(fits)
     results = Results.of(rows, settings.metrics, [opened.collection])
@@ -259,14 +285,12 @@ def test_pictures_are_what_was_recorded_and_rendered(sample):
             np.testing.assert_array_equal(picture(pictures["recorded"][frame]), scenario.images.color(0, frame))
         # what holds still looks the same in every frame; what moves does not
         assert len(set(pictures["methods"]["static"])) == 1 < len(set(pictures["methods"]["rigid"]))
-        # in frame 0 the appearance was fitted to this very view: its brightest part lies in the recorded outline
-        numbers = np.array(re.findall(r"[\d.]+", re.findall(r"M([^Z]*)Z", pictures["outlines"][0])[0]), np.float32).reshape(-1, 2)
-        assert cv2.contourArea(numbers) == pytest.approx(
-            scenario.images.mask(0, 0).sum(), rel=0.15
-        )  # it holds the mask, corners cut a little
-        bright = np.argwhere(picture(pictures["methods"]["static"][0]).max(2) > 100)
-        inside = [cv2.pointPolygonTest(numbers, (x + 0.5, y + 0.5), True) > -1.5 for y, x in bright.tolist()]
-        assert len(inside) > 10 and np.mean(inside) > 0.9
+        # in frame 0 the twin's points are the recorded ones: their pixels lie in the outline or next to it, and the outline holds the mask
+        corners = np.array(re.findall(r"[\d.]+", re.findall(r"M([^Z]*)Z", pictures["outlines"][0])[0]), np.float32).reshape(-1, 2)
+        assert cv2.contourArea(corners) == pytest.approx(scenario.images.mask(0, 0).sum(), rel=0.15)  # corners are cut
+        drawn = np.argwhere(picture(pictures["methods"]["static"][0]).max(2) > 0)
+        inside = [cv2.pointPolygonTest(corners, (x + 0.5, y + 0.5), True) > -2 for y, x in drawn.tolist()]
+        assert len(inside) > 50 and np.mean(inside) > 0.8  # a hand hides the rest
 
 
 def test_the_sample_stays_small(sample):
