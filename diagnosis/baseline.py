@@ -8,6 +8,7 @@ import numpy as np
 
 from ..physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, Springs
 from ..physics.terms.braces import Braces
+from ..physics.terms.compression_softening import CompressionSoftening
 from ..physics.terms.far_springs import FarSprings
 from ..physics.terms.length_level import LengthLevel
 from ..physics.terms.mass_field import MassField
@@ -51,6 +52,8 @@ def baseline_model(replicas: list[Replica]) -> Model:
         terms.append(FarSprings)
         knobs.append(Knob("far_share", 0.5, 1.0, 1e-3, 10.0, log=True))
         values["far_reach"] = FAR * replicas[0].spacing
+        terms.append(CompressionSoftening)  # folds finer than the nodes give way where springs would push
+        knobs.append(Knob("compression_softening", 0.5, 0.4, 0.0, 1.0, step=0.1))
     solid = any(len(r.recording.interior) for r in replicas)
     for field, spread in ((StiffnessField, 0.3), (MassField, 0.3 if solid else 0.15)):  # what is thin is as heavy everywhere
         knobs += [Knob(p.name, 0.0, spread, p.low, p.high) for p in field.parameters]
@@ -71,7 +74,7 @@ def first_fit(task: Task, model: Model, *, iterations: int) -> Fit:
     costs = []
     for z in grid:
         residual = task.residuals(task.predict(model, [z]))[0]
-        costs.append(float(residual @ residual) if np.isfinite(residual).all() else np.inf)
+        costs.append(task.by_frame.misfit(residual) if np.isfinite(residual).all() else np.inf)
     best = [grid[i] for i in np.argsort(costs)[:STARTS]]
     fits = [fit(task, _recentred(model, z), np.zeros(len(z)), iterations=iterations) for z in best]
     return min(fits, key=lambda f: f.loss)

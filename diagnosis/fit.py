@@ -1,4 +1,9 @@
-"""Fitting by batched Gauss-Newton on innovations, every fit with the same budget."""
+"""Fitting by batched Gauss-Newton on innovations, every fit with the same budget.
+
+A motion is well predictable for a while, and then, where a cloth flaps or a rope springs over, not at all. A plain sum of squares hears
+only the latter. So every frame has an error of its own size, unknown beforehand: with that size profiled out, the likelihood of a
+recording is the sum over its frames of the log of their mean square (``Frames.misfit``).
+"""
 
 from __future__ import annotations
 
@@ -10,11 +15,57 @@ import numpy as np
 from .model import Knob, Model, Simulator
 from .replica import Replica
 
-__all__ = ["Fit", "Task", "fit", "gaps", "jacobian", "mean_error", "turned", "weights_of"]
+__all__ = ["Fit", "Frames", "Task", "fit", "gaps", "jacobian", "mean_error", "turned", "weights_of"]
 
 INDEPENDENT = 100.0  # data that a recording is worth: tracks move together, so far fewer than its coordinates
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # Levenberg-Marquardt dampings tried side by side
 HUBER = 3.0  # residuals beyond so many robust standard deviations count linearly
+FINEST = 0.002  # m: nobody asks a coarse twin for smaller errors
+LOST = 0.05  # m: larger errors of a frame say that it was lost, however large they are
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Which frame each of R weighted residuals belongs to, and what a frame's error means.
+
+    of      (R,) frame of each residual
+    share   (F,) share of what was seen that was seen in each frame; its residuals' squares sum to share times its mean square [m^2]
+    floor   (F,) m^2, mean square below which a frame is as good as it need be
+    """
+
+    of: np.ndarray
+    share: np.ndarray
+    floor: np.ndarray
+
+    @classmethod
+    def of_seen(cls, seen: Sequence[np.ndarray], floors: Sequence[float]) -> Frames:
+        """For the residuals (F, n, 3) of recordings, of which ``seen`` (F, n) count, one after the other; floors [m^2]."""
+        lengths = [len(one) for one in seen]
+        starts = np.cumsum([0, *lengths])
+        of = [start + np.repeat(np.arange(len(one)), 3 * one.shape[1]) for start, one in zip(starts, seen, strict=False)]
+        share = [one.sum(1) / max(1, one.sum()) for one in seen]
+        return cls(np.concatenate(of), np.concatenate(share), np.repeat(np.asarray(floors, float), lengths))
+
+    def squares(self, residual: np.ndarray) -> np.ndarray:
+        """(F,) mean square of every frame [m^2]; 0 where nothing was seen."""
+        return np.bincount(self.of, residual**2, len(self.share)) / np.where(self.share > 0, self.share, 1.0)
+
+    def misfit(self, residual: np.ndarray) -> float:
+        """Mean over frames of the log of their mean square plus the floor, which levels off at ``LOST``; summed over recordings."""
+        size = self.squares(residual) + self.floor
+        return float(self.share @ np.log(size / (1 + size / LOST**2)))
+
+    def weights(self, residual: np.ndarray) -> np.ndarray:
+        """(R,) weights of squares whose sum has the misfit's gradient: about one over the frame's mean square plus the floor."""
+        size = self.squares(residual) + self.floor
+        return (1 / (size * (1 + size / LOST**2)))[self.of]
+
+    def huber(self, residual: np.ndarray, reference: np.ndarray) -> np.ndarray:
+        """(R,) weights in (0, 1] that make residuals large for their frame count linearly, as judged at ``reference``."""
+        size = np.sqrt(self.weights(reference))
+        spread = np.abs(size * reference)[reference != 0]
+        limit = HUBER * 1.4826 * np.median(spread) if spread.size else 1.0
+        return np.minimum(1.0, limit / np.maximum(size * np.abs(residual), 1e-30))
 
 
 @dataclass
@@ -23,15 +74,19 @@ class Task:
 
     frames      per recording, how many frames are fitted; the rest is held out
     bandwidth   of the observer [Hz]
+    finest      m, error that no frame need be better than, noise apart
     """
 
     simulators: list[Simulator]
     frames: list[int]
     bandwidth: float
-    weights: list[np.ndarray] = field(default_factory=list)
+    finest: float = FINEST
+    weights: list[np.ndarray] = field(init=False)
+    by_frame: Frames = field(init=False)
 
     def __post_init__(self):
-        self.weights = self.weights or [weights_of(s, f) for s, f in zip(self.simulators, self.frames, strict=True)]
+        self.weights = [weights_of(s, f) for s, f in zip(self.simulators, self.frames, strict=True)]
+        self.by_frame = Frames.of_seen([w > 0 for w in self.weights], [floor_of(s.replica, self.finest) for s in self.simulators])
 
     def seen(self, k: int) -> np.ndarray:
         """(F, n, 3) where the nodes of recording ``k`` were seen [m]."""
@@ -64,9 +119,20 @@ def weights_of(simulator: Simulator, frames: int) -> np.ndarray:
     return seen / np.sqrt(max(1, seen.sum()))
 
 
+def floor_of(replica: Replica, finest: float = FINEST) -> float:
+    """m^2, mean square error of a frame that says nothing against a twin: noise of three coordinates, and what it is not asked for."""
+    return 3 * replica.sightings.noise**2 + finest**2
+
+
 @dataclass(frozen=True)
 class Fit:
-    """Where a fit ended: ``z`` (K,), its mean squared innovation ``loss`` [m^2], the covariance of z, roll-outs used."""
+    """Where a fit ended.
+
+    z           (K,) the knobs
+    loss        its misfit (``Frames.misfit``); infinite where the simulation blew up
+    covariance  (K, K) of z
+    history     the mean squared innovation [m^2] at the start and after every step
+    """
 
     model: Model
     z: np.ndarray
@@ -80,17 +146,18 @@ class Fit:
 
 
 def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
-    """Minimise the mean squared (Huber) innovation plus the knobs' priors from ``z0`` in at most ``iterations`` Gauss-Newton steps."""
+    """Minimise the misfit of the (Huber) innovations plus the knobs' priors from ``z0`` in at most ``iterations`` Gauss-Newton steps."""
     z = np.array(z0, float)
-    knobs = model.knobs
+    knobs, by_frame = model.knobs, task.by_frame
     substeps = task.substeps(model, z)
     residual = task.residuals(task.predict(model, [z], substeps))[0]
     if not np.isfinite(residual).all():
         return Fit(model, z, np.inf, np.full((len(z),) * 2, np.nan), (np.inf,))
     history = [float(residual @ residual)]
     if not len(z):
-        return Fit(model, z, history[0], np.zeros((0, 0)), tuple(history))
+        return Fit(model, z, by_frame.misfit(residual), np.zeros((0, 0)), tuple(history))
     normal = np.eye(len(z))
+    wide = np.array([k.prior for k in knobs])
     damping = 1.0
     slopes, exact = None, True
     for _ in range(iterations):
@@ -99,13 +166,12 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
             residual = task.residuals(task.predict(model, [z], substeps))[0]
             slopes, ok = jacobian(task, model, z, residual, substeps)
             exact = True
-        robust = _huber(residual)
-        variance = float((robust * residual) @ residual)
-        prior = variance / INDEPENDENT * np.ones(len(z))
-        weighted = slopes * robust[:, None]
+        tame = np.sqrt(by_frame.huber(residual, residual))
+        weighted = slopes * (tame**2 * by_frame.weights(tame * residual))[:, None]
         normal = slopes.T @ weighted
+        prior = 1 / wide**2 / (INDEPENDENT + float((z / wide) @ (z / wide)))
         gradient = -(weighted.T @ residual) - prior * z
-        objective = variance + float(prior @ z**2)
+        objective = by_frame.misfit(tame * residual) + _remoteness(z / wide)
         trials = []
         for factor in DAMPINGS:
             matrix = normal + np.diag(prior) + damping * factor * np.diag(np.diag(normal) + 1e-12)
@@ -114,29 +180,26 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         steps = [max(a) for a in zip(*(task.substeps(model, t) for t in trials), strict=True)]
         found = task.residuals(task.predict(model, trials, steps))
         costs = [
-            float((_huber(r, residual) * r) @ r + prior @ t**2) if np.isfinite(r).all() else np.inf
+            by_frame.misfit(np.sqrt(by_frame.huber(r, residual)) * r) + _remoteness(t / wide) if np.isfinite(r).all() else np.inf
             for r, t in zip(found, trials, strict=True)
         ]
         best = int(np.argmin(costs))
-        if not costs[best] < objective * (1 - 1e-6):
+        if not costs[best] < objective - 1e-6:
             damping *= 30
             if damping > 1e4:
                 break
             slopes = slopes if exact else None
             continue
         damping = float(np.clip(damping * DAMPINGS[best], 1e-4, 1e4))
-        improvement = 1 - costs[best] / objective
         step, change = trials[best] - z, found[best] - residual
         z, residual = trials[best], found[best]
         history.append(float(residual @ residual))
-        if improvement < 1e-3:
+        if objective - costs[best] < 1e-3:
             break
         # Every second Jacobian is a secant (Broyden 1965): a knob's column costs a roll-out, an update costs none.
         slopes, exact = (slopes + np.outer(change - slopes @ step, step / max(step @ step, 1e-12)), False) if exact else (None, True)
-    loss = history[-1]
-    scale = max(loss, 1e-16) / INDEPENDENT
-    covariance = np.linalg.pinv(np.nan_to_num(normal) + scale * np.eye(len(z))) * scale
-    return Fit(model, z, loss, covariance, tuple(history))
+    covariance = np.linalg.pinv(INDEPENDENT * np.nan_to_num(normal) + np.diag(1 / wide**2))
+    return Fit(model, z, by_frame.misfit(residual), covariance, tuple(history))
 
 
 def turned(model: Model, z) -> tuple[np.ndarray, np.ndarray]:
@@ -158,14 +221,9 @@ def jacobian(task: Task, model: Model, z, residual, substeps):
     return slopes, ok
 
 
-def _huber(residual, reference=None):
-    """Weights in (0, 1] that make large residuals count linearly."""
-    reference = residual if reference is None else reference
-    size = np.abs(reference[reference != 0])
-    if not size.size:
-        return np.ones_like(residual)
-    limit = HUBER * 1.4826 * np.median(size)
-    return np.minimum(1.0, limit / np.maximum(np.abs(residual), 1e-30))
+def _remoteness(z) -> float:
+    """How unlikely knobs at ``z`` (K,) priors from their starts are: normal near them, with the heavy tail of a multivariate t."""
+    return float(np.log1p(z @ z / INDEPENDENT))
 
 
 def _bounded(knobs: Sequence[Knob], z, step):

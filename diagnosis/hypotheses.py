@@ -20,6 +20,7 @@ __all__ = ["Hypothesis", "catalogue", "hypotheses_for"]
 
 PEAKS, SPREAD = 4, 4  # places tried: where the observer pushes most, and evenly over the body
 LIMP = 0.1  # share of a body's extent that stands out by itself where bending is noticeable
+ANY = 10.0  # noticeable sizes: an effect may be as large
 FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
 STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
 
@@ -78,7 +79,7 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
             continue
         effect, known = term.effect, {p.name: p for p in term.parameters}
         size = max(abs(effect.typical[a]) for a in effect.amplitudes) if term.stage != "hinge" else _rigidity(simulator.replica, term)
-        knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25) for a in effect.amplitudes)
+        knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=ANY) for a in effect.amplitudes)
         for shape in product(*effect.shapes.values()):
             values = dict(zip(effect.shapes, shape, strict=True))
             for place in _places(term, simulator, predicted, push, values):

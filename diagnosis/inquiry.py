@@ -46,7 +46,7 @@ class Refit:
     against: Verdictable
 
     def gain(self, part: str, *, free: bool = False) -> float:
-        """Share of the baseline's error of ``part`` that is gone: squared innovations, or the mean error of a free run."""
+        """Share of the baseline's error of ``part`` that is gone: its ``observed`` squares, or the mean error of a free run."""
         before, after = ((v.free if free else v.observed)[part] for v in (self.against, self.found))
         return 1 - after / max(before, 1e-300) if np.isfinite(after) else -np.inf
 
@@ -149,7 +149,8 @@ def inquire(
 
     progress("scoring hypotheses")
     fitted = watched[0][:train]  # its push anew: that of the whole recording is smoothed over frames that are held out
-    hypotheses = hypotheses_for(simulators[0], fitted, missing_acceleration(replicas[0], fitted, BANDWIDTH))
+    push_fitted = missing_acceleration(replicas[0], fitted, BANDWIDTH)
+    hypotheses = [h for h in hypotheses_for(simulators[0], fitted, push_fitted) if h.term not in base.model.terms]
     scores = screen(Task(simulators[:1], [frames], BANDWIDTH), base, [*hypotheses, _learned()], parts[:2])
     learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
     inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 
-from ..methods.registration import rigid_transform
+from ..methods.registration import color_gap, rigid_transform, starts
 
 __all__ = ["material_coordinates"]
 
 ROUNDS = 30
 KEPT = 0.8  # share of the nearest pairs that a round believes in
 CLEARLY = 0.7  # of the misfit so far: a body that looks the same from several sides stays as it lies
-COLOR = 0.3  # distance in RGB that counts as much as the body's own size
 
 
 def material_coordinates(structure, reference, *, colors=None, reference_colors=None) -> np.ndarray:
@@ -25,28 +22,14 @@ def material_coordinates(structure, reference, *, colors=None, reference_colors=
     structure, reference = np.asarray(structure, float), np.asarray(reference, float)
     size = max(1e-9, float(np.sqrt(((reference - reference.mean(0)) ** 2).sum(1).mean())))
     best, best_cost = structure, np.inf
-    for start in _starts(structure, reference):
+    for start in starts(structure, reference):
         moved, index, error = _closest(start, reference)
         cost = error / size
         if colors is not None and reference_colors is not None:
-            gap = np.linalg.norm(colors - reference_colors[index], axis=1)
-            if np.isfinite(gap).any():
-                cost += float(np.nanmean(gap)) / COLOR
+            cost += color_gap(colors, reference_colors[index])
         if cost < best_cost * CLEARLY:
             best, best_cost = moved, cost
     return best
-
-
-def _starts(structure, reference):
-    a, b = structure.mean(0), reference.mean(0)
-    axes_a, axes_b = (np.linalg.svd(p - p.mean(0), full_matrices=False)[2] for p in (structure, reference))
-    yield structure
-    yield structure - a + b
-    for swap in ((0, 1, 2), (1, 0, 2)):
-        for signs in product((1, -1), repeat=3):
-            turn = axes_b.T @ np.diag(signs) @ axes_a[list(swap)]
-            if np.linalg.det(turn) > 0:
-                yield (structure - a) @ turn.T + b
 
 
 def _closest(moved, reference):

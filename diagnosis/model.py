@@ -28,6 +28,7 @@ class Knob:
 
     start, spread  where it is expected and how far it may reasonably lie from there, in ``log`` where that is how it is turned
     step           of finite differences, in units of ``spread``
+    prior          spreads within which it is expected
     """
 
     name: str
@@ -37,6 +38,7 @@ class Knob:
     high: float
     log: bool = False
     step: float = 0.05
+    prior: float = 1.0
 
     def decode(self, z: float) -> float:
         """The value at ``z`` spreads from the start."""

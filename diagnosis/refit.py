@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .fit import Fit, Task, fit
+from .fit import Fit, Frames, Task, fit, floor_of
 from .model import Model
 from .replica import Replica
 from .screen import Part, Score
@@ -25,7 +25,7 @@ class Verdictable:
     """A fitted model and its errors.
 
     fit       where its fit ended
-    observed  by part, mean squared innovation under the observer [m^2]
+    observed  by part, squared innovation under the observer in the (geometric) mean frame, its floor included [m^2]
     free      by part, mean error of the free-running simulation [m]
     """
 
@@ -78,7 +78,7 @@ def _best(task, model, starts):
     """The start with the least squared innovation: what is linear near nothing need not be so at its full size."""
     steps = [max(of) for of in zip(*(task.substeps(model, z) for z in starts), strict=True)]
     found = task.residuals(task.predict(model, starts, steps))
-    costs = [float(r @ r) if np.isfinite(r).all() else np.inf for r in found]
+    costs = [task.by_frame.misfit(r) if np.isfinite(r).all() else np.inf for r in found]
     return starts[int(np.argmin(costs))]
 
 
@@ -100,7 +100,10 @@ def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
             judged[leave(replica)] = False
         seen = replica.sightings.position[part.first : part.last, judged]
         there = np.isfinite(seen[..., 0])
-        squares, lengths = (((seen - x[part.first : part.last, judged]) ** 2).sum(-1)[there] for x in (watched, alone))
-        observed[part.name] = float(squares.mean()) if len(squares) else float("nan")
-        free[part.name] = float(np.sqrt(lengths).mean()) if len(lengths) else float("nan")
+        gaps = [np.where(there[..., None], seen - x[part.first : part.last, judged], 0.0) for x in (watched, alone)]
+        by_frame = Frames.of_seen([there], [floor_of(replica, task.finest)])
+        observed[part.name] = (
+            float(np.exp(by_frame.misfit(gaps[0].ravel() / np.sqrt(max(1, there.sum()))))) if there.any() else float("nan")
+        )
+        free[part.name] = float(np.linalg.norm(gaps[1], axis=-1)[there].mean()) if there.any() else float("nan")
     return Verdictable(found, observed, free)

@@ -9,7 +9,7 @@ from math import ceil
 
 import numpy as np
 
-from .fit import INDEPENDENT, Fit, Task, _huber, turned
+from .fit import INDEPENDENT, Fit, Frames, Task, floor_of, turned
 from .hypotheses import STAGES_IN_ONE, Hypothesis
 
 __all__ = ["Part", "Score", "screen"]
@@ -32,7 +32,7 @@ class Score:
     """What a hypothesis is worth in the linear neighbourhood of the baseline.
 
     amplitude  (A,) estimated amplitudes, in the parameters' units
-    gains      by part, the share of the baseline's (re-fitted) squared innovation that it removes
+    gains      by part, the share of the baseline's (re-fitted) squared innovation that it removes in the (geometric) mean frame
     kept       share of its own effect on the fitted part that the baseline cannot absorb
     error      (A,) standard errors of the amplitudes
     direction  (R,) its unabsorbed effect on the fitted part, normalised: two hypotheses that share it are told apart by nothing here
@@ -66,7 +66,7 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
                 sign = 1.0 if knob.high > 0 else -1.0
                 steps.append(sign * knob.step * knob.spread)
                 rows.append({**base.values, **off, **h.values, knob.name: steps[-1]})
-        residuals = _by_part(task, model, rows, parts, substeps)
+        residuals, by_frame = _by_part(task, model, rows, parts, substeps)
         origin = [r[0] for r in residuals]
         done = 1 + len(turns)
         if nuisance is None:
@@ -78,13 +78,13 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
             at += len(h.knobs)
             blind = [_blind(h, task, part) for part in parts]
             mine = [c[:, own] for c in columns]
-            scores.append(_score(h, *(_without(part, blind) for part in (origin, nuisance, mine)), parts))
+            scores.append(_score(h, *(_without(part, blind) for part in (origin, nuisance, mine)), parts, by_frame))
     return scores
 
 
 def _by_part(task, model, rows, parts, substeps):
-    """Per part (B, R) weighted innovations, each part's weights normalised to 1."""
-    out = []
+    """Per part (B, R) weighted innovations, each part's weights normalised to 1, and what its frames mean."""
+    out, frames = [], []
     runs = {}
     for part in parts:
         if part.index not in runs:
@@ -100,7 +100,8 @@ def _by_part(task, model, rows, parts, substeps):
             there[0] = False
         gap = np.where(there[None, ..., None], seen[None] - found[:, part.first : part.last], 0.0)
         out.append((gap / np.sqrt(max(1, there.sum()))).reshape(len(rows), -1))
-    return out
+        frames.append(Frames.of_seen([there], [floor_of(simulator.replica, task.finest)]))
+    return out, frames
 
 
 def _blind(h, task, part):
@@ -122,39 +123,38 @@ def _clean(columns):
     return columns
 
 
-def _score(h, origin, nuisance, columns, parts):
+def _score(h, origin, nuisance, columns, parts, by_frame):
     e, n, s = origin[0], nuisance[0], columns[0]
-    root = np.sqrt(_huber(e))[:, None]
+    root = np.sqrt(by_frame[0].huber(e, e) * by_frame[0].weights(e))[:, None]
     e, n, s = e * root[:, 0], n * root, s * root
-    loss = float(e @ e)
     spreads = np.array([k.spread for k in h.knobs])
-    ridge = loss / INDEPENDENT
+    ridge = 1 / INDEPENDENT
     a = s * spreads
     plain = _ridge(n, e, ridge)
-    joined = _ridge(np.concatenate([n, a], 1), e, ridge, weak=a.shape[1])
+    joined = _ridge(np.concatenate([n, a], 1), e, ridge, [k.prior for k in h.knobs])
     shift, amplitude = joined[: n.shape[1]], joined[n.shape[1] :]
     low = np.array([k.low for k in h.knobs])
     if (len(h.knobs) == 1 and low[0] >= 0 and amplitude[0] > 0) or (len(h.knobs) == 1 and h.knobs[0].high <= 0 and amplitude[0] < 0):
         # residual = y - x: a column is d(residual), so the estimate of an amplitude is the negative of its coefficient
         shift, amplitude = plain, np.zeros(1)
     gains = {}
-    for part, o, nn, ss in zip(parts, origin, nuisance, columns, strict=True):
+    for part, o, nn, ss, frames in zip(parts, origin, nuisance, columns, by_frame, strict=True):
         before = o - nn @ plain
         after = o - nn @ shift - (ss * spreads) @ amplitude
-        gains[part.name] = float(1 - (after @ after) / max(before @ before, 1e-300))
+        gains[part.name] = float(1 - np.exp(frames.misfit(after) - frames.misfit(before)))
     bare = a - n @ _ridge(n, a, ridge)
     size = float((bare**2).sum())
     kept = size / max(float((a**2).sum()), 1e-300)
     information = bare.T @ bare + 1e-12 * np.eye(a.shape[1])
-    error = spreads * np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)) * loss / INDEPENDENT, 0))
+    error = spreads * np.sqrt(np.maximum(np.diag(np.linalg.pinv(information)) * ridge, 0))
     effect = bare @ amplitude
     direction = effect / max(np.linalg.norm(effect), 1e-300)
     return Score(h, -amplitude * spreads, gains, kept, error, direction)
 
 
-def _ridge(a, b, ridge, weak=0):
-    """Least squares with a prior of one spread on every column, three on the last ``weak``."""
+def _ridge(a, b, ridge, last=()):
+    """Least squares with a prior of one spread on every column, of ``last`` spreads on the last ones."""
     prior = np.full(a.shape[1], ridge)
-    if weak:
-        prior[-weak:] /= 9
+    if len(last):
+        prior[-len(last) :] /= np.square(last)
     return np.linalg.solve(a.T @ a + np.diag(prior + 1e-15), a.T @ b)

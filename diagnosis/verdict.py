@@ -9,6 +9,7 @@ from importlib import resources
 
 import numpy as np
 
+from .hands import held_points
 from .inquiry import Inquiry, Refit
 
 __all__ = ["MEASUREMENT", "Calibration", "Decision", "Reading", "calibration", "decide", "readings"]
@@ -20,6 +21,8 @@ MATERIAL = (
 )
 SETTLED = -3.0  # log odds of an effect of the material where a twin of the same body was adequate without it: a prior, not fitted
 SLID = 0.5  # log of the growth of neighbour distances that deformation alone brings
+LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
+SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 NONE, OTHER = "adequate", "unknown"
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
 CONTEXT = ("learned", "best", "floor")
@@ -39,7 +42,7 @@ class Reading:
 
     @property
     def key(self) -> str:
-        return self.term or self.effect
+        return self.term or f"{self.effect}_seen"
 
 
 @dataclass(frozen=True)
@@ -123,9 +126,15 @@ def _worth(features: Mapping[str, float]) -> float:
 
 
 def _tracks(inquiry: Inquiry) -> list[Reading]:
-    """Faults that show in the tracks without any simulation: drift as tracks that leave their neighbours."""
-    slide = max(s.replica.sightings.slide for s in inquiry.simulators[: 1 + inquiry.transfers])
-    return [Reading("track_drift", "", dict.fromkeys(FEATURES, 0.0) | {"seen": max(0.0, slide - SLID)})]
+    """Faults that show in tracks and hands without any simulation."""
+    recordings = [s.replica for s in inquiry.simulators[: 1 + inquiry.transfers]]
+    hands = [held for replica in recordings for held in held_points(replica.recording)]
+    shown = {
+        "track_drift": max(replica.sightings.slide for replica in recordings) - SLID,
+        "controller_delay": max((held.told - TOLD for held in hands if abs(held.lag) >= LATE), default=0.0),
+        "grip_slip": max((held.slip - SLIPPED for held in hands), default=0.0),
+    }
+    return [Reading(effect, "", dict.fromkeys(FEATURES, 0.0) | {"seen": max(0.0, float(size))}) for effect, size in shown.items()]
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
@@ -163,7 +172,7 @@ def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     chosen = None
     if effect:
         mine = [(v, r) for r, v in zip(found, values, strict=False) if r.effect == effect]
-        chosen = max(mine, key=lambda pair: pair[0])[1]
+        chosen = max(mine, key=lambda pair: (bool(pair[1].term), pair[0]))[1]  # one that has a model, if any
     return Decision(verdict, effect, also, chances, chosen)
 
 

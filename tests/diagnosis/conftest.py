@@ -20,6 +20,7 @@ TRUTH = {
     "grip_stiffness": 2000.0,
     "length_level": 0.0,
     "far_share": 1.0,
+    "compression_softening": 0.0,
 }
 
 

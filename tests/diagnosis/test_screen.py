@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from twinbench.diagnosis.baseline import baseline_model
-from twinbench.diagnosis.fit import Fit, Task, fit
-from twinbench.diagnosis.hypotheses import FOLLOWED, Hypothesis, catalogue, hypotheses_for
+from twinbench.diagnosis.fit import Fit, Task, fit, floor_of
+from twinbench.diagnosis.hypotheses import ANY, FOLLOWED, Hypothesis, catalogue, hypotheses_for
 from twinbench.diagnosis.locate import DAMPING, missing_acceleration
 from twinbench.diagnosis.model import Knob, Model
 from twinbench.diagnosis.refit import _starts, evaluate, refit
@@ -20,6 +20,7 @@ from twinbench.physics.terms.stribeck_ground import StribeckGround
 from twinbench.physics.terms.wind import Wind
 
 BANDWIDTH = 2.0
+EXACT = 1e-5  # m: error that no frame need be better than, where the twin is exact
 PARTS = [Part("train", 0, 0, 20), Part("heldout", 0, 20, 30)]
 
 
@@ -32,7 +33,7 @@ def at_truth(tiny, simulator):
 
 def scored(tiny, term, values):
     simulator = tiny.drawn(tiny.concealing(terms=[term], values=values, gravity=np.zeros(3), frames=30))
-    task, base = Task([simulator], [30], BANDWIDTH), at_truth(tiny, simulator)
+    task, base = Task([simulator], [30], BANDWIDTH, finest=EXACT), at_truth(tiny, simulator)
     predicted = task.predict(base.model, [base.z])[0][0]
     push = missing_acceleration(simulator.replica, predicted, BANDWIDTH)
     return screen(task, base, hypotheses_for(simulator, predicted[:20], push[:20]), PARTS)
@@ -132,7 +133,7 @@ def test_nodes_that_follow_the_recording_are_no_evidence(tiny):
 
 
 def drag():
-    return Hypothesis("quadratic_drag", QuadraticDrag, {}, (Knob("quadratic_drag", 0.0, 0.5, 0.0, 1000.0, step=0.25),))
+    return Hypothesis("quadratic_drag", QuadraticDrag, {}, (Knob("quadratic_drag", 0.0, 0.5, 0.0, 1000.0, step=0.25, prior=ANY),))
 
 
 def test_far_starts_find_a_drag_that_linear_drag_hid(tiny):
@@ -141,7 +142,10 @@ def test_far_starts_find_a_drag_that_linear_drag_hid(tiny):
         terms=[QuadraticDrag], values={"quadratic_drag": 30.0, "drag_damping": 0.0}, gravity=np.zeros(3), frames=30, way=0.15
     )
     simulator = tiny.drawn(scenario)
-    task, model = Task([simulator], [30], 0.0), tiny.known(baseline_model([simulator.replica]), "body_stiffness", "drag_damping")
+    task, model = (
+        Task([simulator], [30], 0.0, finest=EXACT),
+        tiny.known(baseline_model([simulator.replica]), "body_stiffness", "drag_damping"),
+    )
     base = fit(task, model, np.zeros(2), iterations=8)
     assert base.values["drag_damping"] > 5  # 1/s, where there is none
     (score,) = screen(task, base, [drag()], [Part("train", 0, 0, 30)])
@@ -149,9 +153,8 @@ def test_far_starts_find_a_drag_that_linear_drag_hid(tiny):
     near, far = _starts(base, extended, score)
     assert near and far
     plain, found = refit(task, base, [score], iterations=6, spacing=simulator.replica.spacing)
-    stuck = min((fit(task, extended, z, iterations=6) for z in near), key=lambda f: f.loss)
-    assert found.loss < 0.5 * stuck.loss and found.loss < 0.5 * plain.loss
-    assert found.values["quadratic_drag"] == pytest.approx(30.0, rel=0.6) and stuck.values["quadratic_drag"] < 6
+    assert found.history[-1] < 0.5 * plain.history[-1]
+    assert found.values["quadratic_drag"] == pytest.approx(30.0, rel=0.6)
     assert found.values["drag_damping"] < 0.8 * base.values["drag_damping"]
 
 
@@ -164,7 +167,8 @@ def test_errors_of_parts_leave_out_the_nodes_that_may_not_judge(tiny):
     all_of_them = evaluate(task, base, PARTS)
     without = evaluate(task, base, PARTS, leave=lambda replica: np.array([7]))
     assert all_of_them.free["heldout"] == pytest.approx(0.05 / 20, rel=1e-6)
-    assert all_of_them.observed["heldout"] > 0 == pytest.approx(without.observed["heldout"], abs=1e-15)
+    floor = floor_of(simulator.replica)  # an error of 0 counts as that
+    assert all_of_them.observed["heldout"] > floor == pytest.approx(without.observed["heldout"], rel=0.01)  # it levels off at LOST
     assert without.free["heldout"] < 1e-9
 
 
