@@ -12,6 +12,7 @@ import torch
 
 from ...datasets.scenario import Observed
 from ..base import Diverged, Trajectory, Twin
+from ..threads import threads_for
 from .config import Config, Quirks
 from .graph import farthest_points
 from .network import FARTHEST, Network
@@ -39,7 +40,8 @@ class GSDynamicsTwin(Twin):
         controllers = np.asarray(controllers, float)
         if controllers.shape[1:] != self.place.controllers.shape:
             raise ValueError(f"controllers must have shape (T, {len(self.place.controllers)}, 3), got {controllers.shape}")
-        frames, states = self._steps(controllers)
+        with threads_for(self.config.most_nodes * self.config.width):
+            frames, states = self._steps(controllers)
         positions = fill(frames, states, len(controllers))
         self._hold(positions, controllers)
         return Trajectory(positions.astype(np.float32), self.place.counts)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...datasets.scenario import Plane
 from ..base import Diverged, Trajectory, Twin
+from ..threads import threads_for
 from .body import Body
 from .config import IN_DOMAIN_ONLY, Config, Quirks
 
@@ -82,7 +83,7 @@ class SpringGausTwin(Twin):
         positions = np.empty((len(controllers), *self.structure.shape), np.float32)
         positions[:1] = self.structure
         substeps = self.substeps
-        with torch.no_grad():
+        with torch.no_grad(), threads_for(len(self.structure) * self.config.bound):
             for t in range(1, len(controllers)):
                 before = x, v
                 while True:
