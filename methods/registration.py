@@ -13,7 +13,7 @@ import numpy as np
 
 from ..datasets.scenario import Plane
 
-__all__ = ["align", "color_gap", "lifted", "normals", "rigid_transform", "starts"]
+__all__ = ["align", "color_gap", "hues", "lifted", "nearest_alike", "normals", "rigid_transform", "size", "starts"]
 
 ROUNDS = 50
 KEPT = 0.8  # share of nearest pairs that a round believes in: the rest may be unseen or occluded
@@ -36,22 +36,24 @@ def align(structure, cloud, *, surface: int | None = None, colors=None, cloud_co
     """``structure`` (M, 3) moved rigidly onto ``cloud`` (K, 3), metres; particles below the ground are lifted onto it.
 
     The first ``surface`` particles (default all) are those that can be seen. ``colors`` (surface, 3) and ``cloud_colors`` (K, 3) are RGB in
-    [0, 1], NaN where unknown. Trimmed iterative closest points (Besl and McKay 1992; Chetverikov 2002) from all ``starts``; the one whose
-    end has the smallest trimmed distance, and the nearest colours where there are any, wins, earlier ones on ties. From its end on, what is
-    apart along the surface counts little (Chen and Medioni 1992): both are sampled, and no particle need have its like in the cloud.
+    [0, 1], NaN where unknown. Trimmed iterative closest points (Besl and McKay 1992; Chetverikov 2002) from all ``starts``, closest in
+    place and, where colours are known, in colour (Johnson and Kang 1999); the one whose end has the smallest trimmed distance and gap of
+    colours wins, earlier ones on ties. From its end on, what is apart along the surface counts little (Chen and Medioni 1992): both are
+    sampled, and no particle need have its like in the cloud.
     """
     structure, cloud = np.asarray(structure, float), np.asarray(cloud, float)
     seen = slice(len(structure) if surface is None else surface)
-    size = max(1e-9, float(np.sqrt(((cloud - cloud.mean(0)) ** 2).sum(1).mean())))
+    reach = max(1e-9, size(cloud))
+    tints = hues(colors, cloud_colors, reach)
     best, best_cost = structure, np.inf
     for start in starts(structure, cloud, seen=seen):
-        moved, index, error = _closest_points(start, cloud, seen)
-        cost = error / size
+        moved, index, error = _closest_points(start, cloud, seen, tints)
+        cost = error / reach
         if colors is not None and cloud_colors is not None:
             cost += color_gap(np.asarray(colors)[index], cloud_colors)
         if cost < best_cost * 0.98:
             best, best_cost = moved, cost
-    return lifted(_closest_surface(best, cloud, seen), ground)
+    return lifted(_closest_surface(best, cloud, seen, tints), ground)
 
 
 def lifted(structure, ground: Plane | None) -> np.ndarray:
@@ -59,6 +61,31 @@ def lifted(structure, ground: Plane | None) -> np.ndarray:
     if ground is None:
         return structure
     return structure + np.maximum(0.0, -ground.height(structure))[:, None] * ground.normal
+
+
+def size(points) -> float:
+    """Root mean square radius [m] of ``points`` (K, 3)."""
+    return float(np.sqrt(((points - points.mean(0)) ** 2).sum(1).mean()))
+
+
+def hues(colors, others, reach: float):
+    """``colors`` (M, 3) and ``others`` (K, 3) in metres, black and a pure colour ``reach`` [m] apart; None where none of either is known.
+
+    What is unknown of one has the mean of the others.
+    """
+    if colors is None or others is None or not all(np.isfinite(c).all(1).any() for c in (colors, others)):
+        return None
+    colors, others = np.asarray(colors, float), np.asarray(others, float)
+    return tuple(np.where(np.isfinite(a), a, np.nanmean(b, axis=0)) * reach for a, b in ((colors, others), (others, colors)))
+
+
+def nearest_alike(points, others, tints=None) -> np.ndarray:
+    """(K,) index of the nearest of ``others`` to each of ``points`` (K, 3) [m]; in colour too, given the ``tints`` of both."""
+    from scipy.spatial import cKDTree
+
+    if tints is not None:
+        points, others = np.hstack([points, tints[0]]), np.hstack([others, tints[1]])
+    return cKDTree(others).query(points)[1]
 
 
 def color_gap(colors, others) -> float:
@@ -74,7 +101,9 @@ def starts(structure, cloud, *, seen: slice = slice(None)) -> Iterator[np.ndarra
     axes_a, axes_b = (np.linalg.svd(p - p.mean(0), full_matrices=False)[2] for p in (structure[seen], cloud))
     yield structure
     yield structure - a + b
-    for order in ((0, 1, 2), (1, 0, 2))[: len(axes_a)]:
+    if min(len(structure[seen]), len(cloud)) < 3:
+        return
+    for order in ((0, 1, 2), (1, 0, 2)):
         for signs in product((1, -1), repeat=3):
             turn = axes_b.T @ np.diag(signs) @ axes_a[list(order)]
             if np.linalg.det(turn) > 0:
@@ -90,14 +119,15 @@ def normals(points) -> np.ndarray:
     return np.linalg.eigh(np.swapaxes(patches, 1, 2) @ patches)[1][:, :, 0]
 
 
-def _closest_points(structure, cloud, seen):
-    """Moved structure, nearest particle (K,) of each point, trimmed distance: by cloud -> structure pairs, as the cloud is what was seen and
-    the structure may hold unseen parts."""
-    from scipy.spatial import cKDTree
+def _closest_points(structure, cloud, seen, tints):
+    """Moved structure, nearest particle (K,) of each point, trimmed distance.
 
-    error = np.inf
+    Pairs go from cloud to structure: the cloud is what was seen, and the structure may hold unseen parts.
+    """
+    back, error = tints and tints[::-1], np.inf
     for _ in range(ROUNDS):
-        distance, index = cKDTree(structure[seen]).query(cloud)
+        index = nearest_alike(cloud, structure[seen], back)
+        distance = np.linalg.norm(cloud - structure[seen][index], axis=1)
         keep = distance <= np.quantile(distance, KEPT)
         now = float(distance[keep].mean())
         if now > error * (1 - 1e-4):
@@ -108,16 +138,18 @@ def _closest_points(structure, cloud, seen):
     return structure, index, error
 
 
-def _closest_surface(structure, cloud, seen):
+def _closest_surface(structure, cloud, seen, tints):
     """Rounds of the least-squares motion with (n . d)^2 + ALONG |d|^2 for each kept pair that is d apart, n the surface's normal."""
-    from scipy.spatial import cKDTree
     from scipy.spatial.transform import Rotation
 
+    back = tints and tints[::-1]
     for _ in range(ROUNDS):
         surface = structure[seen]
-        distance, index = cKDTree(surface).query(cloud)
+        index = nearest_alike(cloud, surface, back)
+        apart = cloud - surface[index]
+        distance = np.linalg.norm(apart, axis=1)
         keep = distance <= np.quantile(distance, KEPT)
-        index, apart = index[keep], (cloud - surface[index])[keep]
+        index, apart = index[keep], apart[keep]
         centre = surface[index].mean(0)
         normal = normals(surface)[index]
         weight = ALONG * np.eye(3) + normal[:, :, None] * normal[:, None, :]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.base import Budget, Diverged
-from twinbench.methods.phystwin import METHODS, PhysTwin, body, first_order, zero_order
+from twinbench.methods.phystwin import METHODS, PhysTwin, body, first_order, transfer, zero_order
 from twinbench.methods.phystwin.body import Place, build, regrip, roll, system, time_step
 from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, SEARCHED, Config, Quirks, ranges
 from twinbench.methods.phystwin.first_order import refine
@@ -205,6 +205,8 @@ CHANGES = {
     "linear_search": {"ranges", "stiffest"},
     "inert_parameters": {"searched"},
     "fixed_grip": {"transferred pull", "transferred collision distance", "transferred step"},
+    "named_transfer": {"laid by"},
+    "rough_registration": {"laid by"},
 }
 
 
@@ -271,6 +273,12 @@ def behaviour(quirks, o, monkeypatch):
     seen["transferred pull"] = sorted(set(moved.stiffness[len(twin.body.springs) :]))
     seen["transferred collision distance"] = moved.values["collision_dist"]
     seen["transferred step"] = step
+    with monkeypatch.context() as m:
+        laid = []
+        for name in ("point_to_point", "colored", "bend", "bend_once"):
+            m.setattr(transfer, name, lambda lying, *a, name=name, **k: laid.append(name) or lying)
+        transfer.laid(build(TRUTH, place), colliding, place, quirks)
+        seen["laid by"] = laid
     return seen
 
 
@@ -338,6 +346,8 @@ def test_switches_do_what_they_say(short, monkeypatch):
     assert p["transferred pull"] == [3e4] and c["transferred pull"] == [pytest.approx(TRUTH["global_spring_Y"])]
     assert p["transferred collision distance"] == 0.005 and c["transferred collision distance"] == TRUTH["collision_dist"]
     assert p["transferred step"] == (6667, 5e-6) and c["transferred step"] is None
+    # what collides with itself is cloth, whatever it is called, and cloth is not bent
+    assert p["laid by"] == ["point_to_point", "bend_once"] and c["laid by"] == []
 
 
 def test_the_acceleration_loss_does_not_change_the_motion(lift):

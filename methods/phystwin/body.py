@@ -36,6 +36,8 @@ class Place:
     ground: tuple[float, float, float, float] | None  # unit normal and offset [m]
     self_collision: bool
     fps: float
+    colors: np.ndarray | None = None  # (tracked, 3) RGB in [0, 1], NaN where not seen
+    name: str = ""  # the recording's
 
     @classmethod
     def of(cls, observed: Observed) -> Place:
@@ -50,6 +52,8 @@ class Place:
             ground,
             observed.self_collision,
             observed.fps,
+            None if observed.colors is None else np.where(observed.visible[0][:, None], observed.colors[0], np.nan),
+            observed.name,
         )
 
 

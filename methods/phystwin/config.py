@@ -42,6 +42,10 @@ class Quirks:
     """All twelve parameters are searched, those included that have nothing to act on, such as contact without self-collision."""
     fixed_grip: bool = True
     """A transferred twin's hand springs get a fixed stiffness, its substep is ten times shorter, its collision distance 5 mm."""
+    named_transfer: bool = True
+    """Words in the source's name say whether a transferred body's colours are matched, and whether it is cloth, which is not bent."""
+    rough_registration: bool = True
+    """A transferred body is laid by closest points within 2 cm, or their colours, and bent at most once, by what is more than 2 cm off."""
 
 
 AS_PUBLISHED = Quirks()
