@@ -33,7 +33,8 @@ class Run:
     scenarios: Names = ()
     """Score only these recordings. Default: all."""
     methods: Names | None = None
-    """Methods to compare (see twinbench list), with spaces or commas between them, or all. Default: static rigid phystwin."""
+    """Methods to compare (see twinbench list), with spaces or commas between them. all: every one but phystwin+diagnosed, which takes
+    as long as several others. Default: static rigid phystwin."""
     ablation: str = ""
     """Compare what an ablation compares (see twinbench list), instead of methods."""
     metrics: Names = ()
@@ -416,7 +417,8 @@ def _methods(names: Iterable[str]) -> dict:
     from ..methods.registry import methods
 
     found = methods()
-    return _chosen("method", [one for name in names for one in (found if name == "all" else [name])], found)
+    every = [name for name, method in found.items() if getattr(method, "room", "") == "methods"]  # a diagnosis takes as long as all others
+    return _chosen("method", [one for name in names for one in (every if name == "all" else [name])], found)
 
 
 def _metrics(names: Iterable[str] = ()) -> dict:

@@ -111,7 +111,7 @@ def test_the_metric_says_what_its_example_says(python):
 
 
 def test_the_snippets_run(python, copy):
-    assert len(SNIPPETS) == 2
+    assert len(SNIPPETS) == 3
     for block in SNIPPETS:
         python("-c", block)
 
