@@ -68,6 +68,11 @@ class Run:
                 raise ValueError(f"--{option} needs at least one value")
         preset, cache = PRESETS[self.preset], Cache(default_cache())
         wanted = self._experiments(preset)
+        for path in () if self.data else preset.data:
+            if path != "sample" and not Path(path).exists():
+                raise ValueError(
+                    f"--preset {self.preset} is for the recordings in {path}: twinbench download data brings them, --data names others"
+                )
         opened = [open_recordings(path, split=self.split, cache=cache) for path in dict.fromkeys(self.data or preset.data)]
         _known("scenario", self.scenarios, list(dict.fromkeys(name for found in opened for name in found.collection.scenarios)))
         planned = [(one, work) for one in wanted if (work := one.plan(opened, seeds=self.seeds, scenarios=self.scenarios))]

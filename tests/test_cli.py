@@ -130,7 +130,8 @@ def test_a_preset_may_hold_several_tables(cases, ablations, monkeypatch, capsys)
     from twinbench.benchmark.presets import PRESETS, Preset
 
     monkeypatch.setitem(PRESETS, "paper", Preset("quick", (str(cases),), ("static",), ("bodies",)))
-    assert main(["run", "--preset", "paper", "--out", "o"]) == 0
+    assert main(["run", "--preset", "paper", "--out", "o", "--report", "r/all.html"]) == 0
+    assert sorted(file.name for file in Path("r").iterdir()) == ["all-bodies.html", "all.html"]
     out = capsys.readouterr().out
     assert out.index("thing, transfer") < out.index("bodies: whether bodies move")
     assert Path("o/table.md").exists() and Path("o/bodies/table.md").exists()
@@ -156,7 +157,7 @@ def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
         (["run", "--preset", "ful"], "unknown preset 'ful'; did you mean 'full'? known: quick, full, paper"),
         (["run", "--ablation", "stage"], "unknown ablation 'stage'; did you mean 'stages'?"),
         (["run", "--ablation", "stages", "--methods", "phystwin-zer"], "unknown variant 'phystwin-zer'; did you mean 'phystwin-zero'?"),
-        (["run", "--preset", "paper"], "no recordings at data: no such file or folder"),
+        (["run", "--preset", "paper"], "--preset paper is for the recordings in data: twinbench download data brings them"),
         (["run", "--methods", "static", "--leaderboard", __file__], "choose another with --leaderboard"),
         (["run", "--device", "cuda:0"], "unknown device 'cuda:0'; did you mean 'cuda'? known: cpu, cuda"),
         (["run", "--split", "claen"], "unknown split 'claen'; did you mean 'clean'?"),
