@@ -15,15 +15,18 @@ FILLER = 0.3  # grey where a colour is unknown
 DIGITS = 9  # sums of threads end in another order each time: what they leave open is not kept
 
 
-def point_to_point(structure, cloud) -> np.ndarray:
-    """``structure`` (M, 3) moved rigidly, from the difference of centres on, by pairs nearer than 2 cm to ``cloud`` (K, 3), metres."""
+def point_to_point(structure, cloud, *, surface: int | None = None) -> np.ndarray:
+    """``structure`` (M, 3) moved rigidly, from the difference of centres on, by pairs nearer than 2 cm to ``cloud`` (K, 3), metres.
+
+    The first ``surface`` particles (default all) are paired.
+    """
     from scipy.spatial import cKDTree
 
     tree = cKDTree(cloud)
-    structure = structure - structure.mean(0) + np.mean(cloud, 0)
+    structure = structure - structure[:surface].mean(0) + np.mean(cloud, 0)
     before = None
     for _ in range(ROUNDS):
-        distance, index = tree.query(structure, distance_upper_bound=REACH)
+        distance, index = tree.query(structure[:surface], distance_upper_bound=REACH)
         near = np.isfinite(distance)
         if not near.any():
             break
@@ -31,20 +34,21 @@ def point_to_point(structure, cloud) -> np.ndarray:
         if before is not None and (np.abs(now - before) < RELATIVE).all():
             break
         before = now
-        rotation, shift = rigid_transform(structure[near], cloud[index[near]])
+        rotation, shift = rigid_transform(structure[:surface][near], cloud[index[near]])
         structure = structure @ rotation.T + shift
     return structure
 
 
 def colored(structure, colors, cloud, cloud_colors) -> np.ndarray:
-    """``structure`` (M, 3) [m] with ``colors`` (M, 3) moved rigidly onto ``cloud`` (K, 3), from where it is, from coarse to fine.
+    """``structure`` (M, 3) [m] moved rigidly onto ``cloud`` (K, 3), from where it is, from coarse to fine.
 
-    RGB in [0, 1], NaN where unknown. Source: Park, Zhou and Koltun 2017, as open3d has it. A scale at which no points are near enough to
-    each other changes nothing. Raises ImportError where open3d or its system library libusb-1.0 is not installed.
+    Its first particles, of which there are ``colors``, are matched; RGB in [0, 1], NaN where unknown. Source: Park, Zhou and Koltun 2017,
+    as open3d has it. A scale at which no points are near enough to each other changes nothing. Raises ImportError where open3d or its
+    system library libusb-1.0 is not installed.
     """
     open3d = _open3d()
     registration = open3d.pipelines.registration
-    clouds = [_cloud(open3d, p, c) for p, c in ((structure, colors), (cloud, cloud_colors))]
+    clouds = [_cloud(open3d, p, c) for p, c in ((structure[: len(colors)], colors), (cloud, cloud_colors))]
     motion = np.eye(4)
     for voxel, rounds in SCALES:
         pair = [one.voxel_down_sample(voxel) for one in clouds]

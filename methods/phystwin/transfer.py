@@ -20,14 +20,15 @@ MARGIN = 0.005  # m: how much farther than its nearest particle a hand point rea
 RADIUS, CLOSEST, NEIGHBOURS, PULL = 0.01, 10, 30, 3e4  # published: m, controllers that reach beyond it, springs of one, N
 SUBSTEPS, STEP, CONTACT = 6667, 5e-6, 0.005  # published: per frame, s, m
 COLOURED = ("zebra", "sloth")  # published: what is registered by its colours
-TEXTURE = 0.05  # standard deviation of RGB, from which on colours say where on a body one is
 
 
 def laid(body: Body, home: Place, place: Place, quirks: Quirks) -> np.ndarray:
     """Particles (M, 3) [m] of a body that stands at ``home``, as the tracked and surface points of ``place`` show it to lie there.
 
-    Laid rigidly, by shape and colours, then bent as little as the points ask for, unless it is cloth, and lifted onto the ground. With
-    ``named_transfer`` and ``rough_registration`` as published.
+    Laid rigidly, by shape and colours, then bent as little as the points ask for, unless it is cloth (which collides with itself, or is a
+    sheet), and lifted onto the ground. With ``named_transfer`` and ``rough_registration`` as published, but for what stands in for matched
+    image features: see ``registration`` and ``bend_once``. Coloured closest points are left to that mode: on the sample, of 350 particles
+    7 mm apart, they move a body that lies right to within 0.3 mm by 5 cm.
     """
     structure, surface = home.structure, sum(home.counts[:2])
     cloud = place.structure[: sum(place.counts[:2])]
@@ -36,28 +37,13 @@ def laid(body: Body, home: Place, place: Place, quirks: Quirks) -> np.ndarray:
     cloth = self_collides(home.name) if quirks.named_transfer else home.self_collision or is_sheet(home.structure)
     lying = align(structure, cloud, surface=surface, **hues)
     if quirks.rough_registration:
-        lying = _rough(lying, surface, cloud, ours, theirs, _by_color(home, ours, theirs, quirks))
+        named = quirks.named_transfer and any(word in home.name for word in COLOURED)
+        by_color = named and ours is not None and theirs is not None
+        lying = colored(lying, ours, cloud, theirs) if by_color else point_to_point(lying, cloud, surface=surface)
         lying = lying if cloth else bend_once(lying, body.springs, cloud, surface=surface)
     elif not cloth:
         lying = bend(lying, body.springs, cloud, surface=surface, spacing=_spacing(structure), **hues)
     return lifted(lying, None if place.ground is None else Plane(np.array(place.ground[:3]), place.ground[3]))
-
-
-def _rough(structure, surface, cloud, ours, theirs, by_color):
-    """As published: closest points by colour or by place, of all particles."""
-    if not by_color:
-        return point_to_point(structure, cloud)
-    inside = np.full((len(structure) - surface, 3), np.nan)
-    return colored(structure, np.concatenate([ours, inside]), cloud, theirs)
-
-
-def _by_color(home, ours, theirs, quirks):
-    """Whether colours are there and say where on the body one is."""
-    if ours is None or theirs is None:
-        return False
-    if quirks.named_transfer:
-        return any(word in home.name for word in COLOURED)
-    return all(c[np.isfinite(c).all(1)].std(0).max(initial=0) > TEXTURE for c in (ours, theirs))
 
 
 def _colors(place):
