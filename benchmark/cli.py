@@ -111,7 +111,10 @@ class Run:
         if report:
             _folder(report.parent, option="--report")
         results = experiment.run(work, cache=cache, budget=budget, device=self.device)
-        written = [*write_results(results, folder), *write_leaderboard(results, board, says=experiment.says)]
+        written = [
+            *write_results(results, folder),
+            *write_leaderboard(results, board, says=experiment.says, published=experiment.published),
+        ]
         print("\n\n".join(filter(None, (experiment.says, terminal(results)))))
         notes = [found.note for found, _ in work if found.note]
         for note in notes:

@@ -147,13 +147,14 @@ def _about(found: Sequence[Board], results: Results) -> list[str]:
     return [first, *(said[over] if len(tasks) == 1 else f"{'; '.join(where)}: {said[over]}" for over, where in tasks.items()), *others]
 
 
-def _elsewhere(results: Results) -> list[tuple[str, list[list[str]]]]:
+def _elsewhere(results: Results, methods: Sequence[str] | None) -> list[tuple[str, list[list[str]]]]:
     """The paper's tables as (caption, rows with a header) where no collection of the run has published figures beside its own."""
     if any(results.published.values()):
         return []
+    known = {key: value for key, value in PUBLISHED.items() if methods is None or key[1] in methods}
     tables = []
     for task in dict.fromkeys(row["task"] for row in results.rows):
-        figures = {(method, metric): value for (of, method, metric), value in PUBLISHED.items() if of == task}
+        figures = {(method, metric): value for (of, method, metric), value in known.items() if of == task}
         metrics = [metric for metric in results.units if any(key[1] == metric for key in figures)]
         if not metrics:
             continue
@@ -177,8 +178,8 @@ def _as_printed(value: float, unit: str) -> str:
 ELSEWHERE = f"Published figures of other recordings, the paper's 22; they cannot be compared with those above. {CITATION}"
 
 
-def leaderboard_markdown(results: Results, *, says: str = "") -> str:
-    """The leaderboard in Markdown: the best in bold, published figures in italics."""
+def leaderboard_markdown(results: Results, *, says: str = "", published: Sequence[str] | None = None) -> str:
+    """The leaderboard in Markdown: the best in bold, published figures in italics, of these methods of the paper or all."""
     parts, found = ["# Leaderboard", *([says] if says else [])], boards(results)
     for board in found:
         rows = []
@@ -187,7 +188,7 @@ def leaderboard_markdown(results: Results, *, says: str = "") -> str:
             rows.append([f"*{text}*" if text and line.published else text for text in texts])
         parts.append(f"## {board.sheet.caption}\n\n{_markdown_table(board.sheet.header, rows)}")
     parts.append("\n".join(f"- {_capital(said)}" for said in _about(found, results)))
-    if tables := _elsewhere(results):
+    if tables := _elsewhere(results, published):
         parts.append(f"## {ELSEWHERE.split(';')[0]}\n\n{ELSEWHERE}")
         parts += [f"**{caption}**\n\n{_markdown_table(header, rows)}" for caption, (header, *rows) in tables]
     return "\n\n".join(parts) + "\n"
@@ -202,18 +203,18 @@ def _capital(text: str) -> str:
     return text[:1].upper() + text[1:] if text.startswith(("after", "no intervals")) else text
 
 
-def leaderboard_latex(results: Results, *, says: str = "") -> str:
+def leaderboard_latex(results: Results, *, says: str = "", published: Sequence[str] | None = None) -> str:
     """The leaderboard in LaTeX, to be put into a document with \\input; the best in bold, published figures below a rule."""
     parts, found = ["% needs \\usepackage{booktabs}"], boards(results)
     for board in found:
-        ours, published = [], []
+        ours, theirs = [], []
         for line, cells in zip(board.sheet.block.lines, _cells(board), strict=True):
             texts = [rf"\textbf{{{escape(text)}}}" if best else escape(text) for text, _, best in cells]
             texts = [text + (rf" $\pm$ {half}" if half else "") for text, (_, half, _) in zip(texts, cells, strict=True)]
-            (published if line.published else ours).append(texts)
-        parts.append(_latex_table(board.sheet.caption, board.sheet.header, [ours, published]))
+            (theirs if line.published else ours).append(texts)
+        parts.append(_latex_table(board.sheet.caption, board.sheet.header, [ours, theirs]))
     notes = [*([says] if says else []), *_about(found, results)]
-    tables = _elsewhere(results)
+    tables = _elsewhere(results, published)
     parts += [_latex_table(caption, header, [[list(map(escape, row)) for row in rows]]) for caption, (header, *rows) in tables]
     notes += [ELSEWHERE] if tables else []
     items = "\n".join(rf"\item {escape(_capital(note))}" for note in notes)
@@ -251,12 +252,15 @@ def leaderboard_csv(results: Results) -> str:
     return text.getvalue()
 
 
-def write_leaderboard(results: Results, folder: Path, *, says: str = "") -> list[Path]:
-    """Write ``leaderboard.md``, ``leaderboard.csv`` and ``leaderboard.tex``; each replaces its forerunner in one rename."""
+def write_leaderboard(results: Results, folder: Path, *, says: str = "", published: Sequence[str] | None = None) -> list[Path]:
+    """Write ``leaderboard.md``, ``leaderboard.csv`` and ``leaderboard.tex``; each replaces its forerunner in one rename.
+
+    ``says`` is what the tables ask, ``published`` the methods of the paper that stand beside them (None means all).
+    """
     texts = {
-        "leaderboard.md": leaderboard_markdown(results, says=says),
+        "leaderboard.md": leaderboard_markdown(results, says=says, published=published),
         "leaderboard.csv": leaderboard_csv(results),
-        "leaderboard.tex": leaderboard_latex(results, says=says),
+        "leaderboard.tex": leaderboard_latex(results, says=says, published=published),
     }
     for name, text in texts.items():
         with replacing(Path(folder) / name) as temporary:

@@ -91,6 +91,11 @@ def perceptual_distance(first, second, *, scaled: bool = True) -> float:
         return float(net(pair[:1], pair[1:], normalize=scaled))
 
 
+def _from_home(file: Path) -> str:
+    """The path as it is the same for everybody, where tables are shared."""
+    return f"~/{file.relative_to(Path.home())}" if file.is_relative_to(Path.home()) else str(file)
+
+
 class LPIPS(ImageMetric):
     """Learned perceptual distance (AlexNet) of the whole image, fed images in [0, 1], as published.
 
@@ -109,7 +114,7 @@ class LPIPS(ImageMetric):
                 return f"the package {package} is not installed"
         if backbone_file().is_file() or not (reason := _unreachable()):
             return _loaded.get("reason")
-        return f"AlexNet's weights are neither at {backbone_file()} nor to be had from {BACKBONE} ({reason})"
+        return f"AlexNet's weights are neither at {_from_home(backbone_file())} nor to be had from {BACKBONE} ({reason})"
 
 
 class CorrectedLPIPS(LPIPS):

@@ -70,7 +70,7 @@ def test_equal_weights_give_the_interval_of_scipy(values, weight):
     # independent source: scipy.stats' t interval of a mean; rounding of the mean is 1e-13 of values up to 1e3
     from scipy import stats
 
-    expected = stats.t.interval(0.95, len(values) - 1, loc=0, scale=stats.sem(values))[1] if np.ptp(values) else 0.0
+    expected = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
     assert half_width([(weight, x) for x in values]) == pytest.approx(expected, rel=1e-6, abs=1e-9)
 
 
@@ -110,6 +110,9 @@ def test_the_papers_figures_stand_apart_where_the_recordings_are_others():
     assert "| phystwin (published) | 12 | 0.725 |" in theirs  # future prediction: Chamfer .012 m, IoU 72.5 %
     assert "resimulation" not in theirs  # was not run
     assert "cannot be compared" not in leaderboard_markdown(table(*THREE, published=FIGURES))
+    assert "cannot be compared" not in leaderboard_markdown(table(*THREE), published=())
+    few = leaderboard_markdown(table(*THREE), published=("phystwin-zero",))
+    assert "| phystwin-zero (published) | 14 |" in few and "| phystwin (published)" not in few
 
 
 def test_published_names_are_those_of_methods():
