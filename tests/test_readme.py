@@ -1,5 +1,6 @@
 """README.md keeps its word: its commands exist, its example runs, its table is what the program prints, and .ci/run does what it says."""
 
+import csv
 import os
 import re
 import shlex
@@ -13,6 +14,7 @@ import pytest
 from twinbench.benchmark import cli
 from twinbench.benchmark.plan import TASKS
 from twinbench.benchmark.results import read_results
+from twinbench.benchmark.table import blocks
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
 
@@ -148,6 +150,36 @@ def test_the_table_is_what_the_command_prints(printed_again):
     for line in TABLE.splitlines():
         if not re.match(r"(phystwin|rigid|static) |-{9}|sample: no ", line):  # captions, names of columns, legend
             assert " ".join(line.split()) in words
+
+
+def board(folder):
+    """{(task, method, metric): (mean as printed in millimetres, half of the interval, over what)} of lengths in a committed leaderboard."""
+    with (ROOT / "results" / folder / "leaderboard.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["unit"] == "m"]
+    return {(r["task"], r["method"], r["metric"]): (f"{1e3 * float(r['mean']):.2f}", r["interval95"], r["interval_over"]) for r in rows}
+
+
+def test_the_leaderboard_that_is_shown_is_what_the_command_gives(printed_again):
+    # the baselines hardly depend on the machine; the others took minutes, and stand beside them in the same file
+    shown = board(".")
+    results = read_results(printed_again[1] / "results" / "sample")
+    for block in blocks(results):
+        for line in block.lines:
+            for metric in (name for name in block.metrics if results.units[name] == "m"):
+                assert shown[block.task, line.method, metric][0] == f"{1e3 * line.means[metric]:.2f}"
+    assert {method for _, method, _ in shown} == {name for name, found in methods().items() if found.room == "methods"}
+    for kind in ("md", "tex"):
+        text = (ROOT / "results" / f"leaderboard.{kind}").read_text(encoding="utf-8")
+        assert all(value[0] in text for value in shown.values())
+
+
+def test_the_ablation_that_is_shown_is_the_leaderboards():
+    shown, lines = board("stages"), [line for line in TEXT.splitlines() if line.startswith("| `phystwin")]
+    for task in ("resimulation", "prediction"):
+        for method in ("phystwin", "phystwin-zero", "phystwin-first"):
+            mean, half, over = shown[task, method, "chamfer"]
+            cell = f"{mean} ± {1e3 * float(half):.2f}"
+            assert over == "3 seeds" and any(line.startswith(f"| `{method}` |") and cell in line for line in lines), (task, method, cell)
 
 
 def test_the_table_shows_a_twin_that_predicts():
