@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnosis.verdict import FEATURES, NONE, OTHER, Calibration, Reading, decide, scores, verdict_of
+from ..diagnosis.verdict import CONTEXT, FEATURES, NONE, OTHER, Calibration, Reading, decide, scores, verdict_of
 
 __all__ = ["answer", "answers", "by_effect", "calibrate", "crossed", "decided", "markdown", "score", "study", "thresholds"]
 
 LABELS = "labels.json"
-RIDGE = 0.02  # of the shared weights; effects' own biases are few cases each and get more
-RIDGE_BIAS = 0.15
+RIDGE = 0.002  # of the shared weights; effects' own biases are few cases each and get more
+RIDGE_BIAS = 0.1
 FOLDS = 8
 
 
@@ -152,7 +152,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     rows = [(*_evidence(r), truth(labels[k])) for k, r in sorted(results.items()) if k in labels and "evidence" in r]
     terms = sorted({r.key for found, _, _ in rows for r in found})
     features = (*FEATURES, "seen")
-    around = sorted({k for _, c, _ in rows for k in c})
+    around = list(CONTEXT)
     start = np.zeros(len(features) + len(terms) + 2 * (len(around) + 1))
 
     def unpack(v):
@@ -167,27 +167,51 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
             context[name] = dict(zip(around, part[1:], strict=True))
         return Calibration(weights, biases, context)
 
+    # Scores are affine in v: their slopes are found by asking for each unit vector once.
+    offset = _scores(rows, unpack(start))
+    names = [scores(found, context, unpack(start))[0] for found, context, _ in rows]
+    slopes = np.stack([_scores(rows, unpack(unit)) - offset for unit in np.eye(len(start))], 1)
+    first = np.cumsum([0, *map(len, names)])[:-1]
+    right = np.concatenate([_right(of, true) for of, (_, _, true) in zip(names, rows, strict=True)])
+    ridge = np.full(len(start), RIDGE)
+    ridge[len(FEATURES) : len(features)] = 0.0  # what the tracks say by themselves is not shrunk
+    ridge[len(features) : len(features) + len(terms)] = RIDGE_BIAS
+    ridge[len(features) + len(terms) :: len(around) + 1] = 0.0  # how often nothing, or something else, is missing is the labels' to say
+
     def cost(v):
-        c, total = unpack(v), 0.0
-        for found, context, true in rows:
-            names, values = scores(found, context, c)
-            values = values - values.max()
-            right = [k for k, n in enumerate(names) if n == true] or [len(names) - 1]
-            total -= np.log(np.exp(values[right]).sum() / np.exp(values).sum())
-        size = len(FEATURES)  # what the tracks say by themselves is not shrunk
-        return (
-            total / len(rows)
-            + RIDGE * float(v[:size] @ v[:size]) / 10
-            + RIDGE_BIAS / 10 * float(v[len(features) : len(features) + len(terms)] @ v[len(features) : len(features) + len(terms)])
-        )
+        """Mean negative log likelihood of the truths with its priors, and its gradient."""
+        values = offset + slopes @ v
+        all_of, all_share = _softmax(values, first)
+        right_of, right_share = _softmax(np.where(right, values, -np.inf), first)
+        gradient = slopes.T @ (all_share - right_share) / len(rows) + 2 * ridge * v
+        return float((all_of - right_of).mean() + ridge @ v**2), gradient
 
     # A gain never speaks against its effect, an amplitude more never for it.
     gains = {name: (0, None) for name in features if name.split("_")[-1] in ("train", "heldout", "transfer", "seen")}
     bounds = [{**gains, "extra": (None, 0)}.get(name, (None, None)) for name in features]
     bounds += [(None, None)] * (len(start) - len(features))
-    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds)
+    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
     return Calibration({k: float(v) for k, v in c.weights.items()}, {k: float(v) for k, v in c.biases.items()}, c.context, source=source)
+
+
+def _scores(rows, c: Calibration) -> np.ndarray:
+    return np.concatenate([scores(found, context, c)[1] for found, context, _ in rows])
+
+
+def _right(names, true) -> np.ndarray:
+    """Which of a case's readings are true; "unknown", the last, where none is."""
+    right = np.array([n == true for n in names])
+    return right if right.any() else np.arange(len(names)) == len(names) - 1
+
+
+def _softmax(values, first):
+    """Per case, whose readings begin at ``first``: the log of the sum of exponentials; and the share of each reading in it."""
+    lengths = np.diff([*first, len(values)])
+    top = np.maximum.reduceat(values, first)
+    weight = np.exp(values - np.repeat(top, lengths))
+    total = np.add.reduceat(weight, first)
+    return top + np.log(total), weight / np.repeat(total, lengths)
 
 
 def crossed(results: dict[str, dict], labels: dict[str, dict], *, seed: int = 0, thresholds: Calibration | None = None) -> dict[str, dict]:
@@ -253,8 +277,8 @@ def thresholds(
     best, chosen = -np.inf, (0.5, 0.7, 0.5)
     runs = [crossed(results, labels, seed=s) for s in seeds]
     for named in (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7):
-        for both in (0.4, 0.5, 0.6, 0.7, 0.8):
-            for sure in (0.15, 0.2, 0.3, 0.4, 0.5):
+        for both in (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
+            for sure in (0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4):
                 if both < named:
                     continue
                 worth = 0.0

@@ -101,9 +101,10 @@ def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
         seen = replica.sightings.position[part.first : part.last, judged]
         there = np.isfinite(seen[..., 0])
         gaps = [np.where(there[..., None], seen - x[part.first : part.last, judged], 0.0) for x in (watched, alone)]
+        if not there.any():
+            observed[part.name] = free[part.name] = float("nan")
+            continue
         by_frame = Frames.of_seen([there], [floor_of(replica, task.finest)])
-        observed[part.name] = (
-            float(np.exp(by_frame.misfit(gaps[0].ravel() / np.sqrt(max(1, there.sum()))))) if there.any() else float("nan")
-        )
-        free[part.name] = float(np.linalg.norm(gaps[1], axis=-1)[there].mean()) if there.any() else float("nan")
+        observed[part.name] = float(np.exp(by_frame.misfit(gaps[0].ravel() / np.sqrt(there.sum()))))
+        free[part.name] = float(np.linalg.norm(gaps[1], axis=-1)[there].mean())
     return Verdictable(found, observed, free)

@@ -9,6 +9,7 @@ from importlib import resources
 
 import numpy as np
 
+from .fit import floor_of
 from .hands import held_points
 from .inquiry import Inquiry, Refit
 
@@ -22,6 +23,7 @@ MATERIAL = (
 SETTLED = -3.0  # log odds of an effect of the material where a twin of the same body was adequate without it: a prior, not fitted
 SLID = 0.5  # log of the growth of neighbour distances that deformation alone brings
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
+FINE, AT_EASE = 0.7, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 NONE, OTHER = "adequate", "unknown"
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
@@ -142,7 +144,9 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     gains = [left(inquiry.yardstick.gain(part.name)) for part in inquiry.parts if part.name != "train"]
     noise = max(inquiry.case.sightings.noise, 1e-4)
     floor = float(np.log(np.sqrt(inquiry.base.observed["train"] / 3) / noise))
-    return {"learned": float(np.mean(gains)), "best": max([_worth(r.features) for r in found if r.term], default=0.0), "floor": floor}
+    best = max([_worth(r.features) for r in found if r.term], default=0.0)
+    excess = [np.log(inquiry.base.observed[p.name] / floor_of(inquiry.simulators[p.index].replica)) for p in inquiry.parts]
+    return {"learned": float(np.mean(gains)), "best": best, "floor": floor, "fine": float(max(excess) < FINE)}
 
 
 def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration) -> tuple[list[str], np.ndarray]:
@@ -156,6 +160,7 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     for name in (NONE, OTHER):
         names.append(name)
         values.append(c.biases.get(name, 0.0) + sum(c.context.get(name, {}).get(k, 0.0) * v for k, v in around.items()))
+    values[-2] += AT_EASE * around.get("fine", 0.0)
     return names, np.array(values)
 
 

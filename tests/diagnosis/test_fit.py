@@ -8,7 +8,6 @@ from twinbench.diagnosis.fit import LOST, Frames, Task, fit, floor_of, gaps, jac
 from twinbench.diagnosis.model import Knob, Model, Simulator
 from twinbench.diagnosis.replica import build_replica
 
-
 EXACT = 1e-8  # m: error that no frame need be better than, where the truth can be met
 
 
@@ -130,7 +129,7 @@ def test_a_knob_decodes_what_it_encodes_and_stays_within_its_bounds(log):
 
 
 def test_the_misfit_of_frames_is_the_mean_log_of_their_squares():
-    # frame 0 has one node off by 3 mm, frame 1 two of which one is off by 4 mm: mean squares 9 and 8 mm^2; a third of the nodes is in frame 0
+    # frame 0 has one node, off by 3 mm, frame 1 two, one of them off by 4 mm: mean squares 9 and 8 mm^2
     seen = np.array([[True, False], [True, True]])
     frames = Frames.of_seen([seen], [1e-6])
     residual = np.zeros((2, 2, 3))
