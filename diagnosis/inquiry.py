@@ -10,7 +10,7 @@ import numpy as np
 from ..datasets.scenario import Observed
 from ..physics.terms.residual_field import ResidualField
 from .baseline import baseline_model, first_fit
-from .fit import Fit, Task
+from .fit import FINEST, Fit, Task
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
 from .model import Knob, Model, Simulator
@@ -21,6 +21,7 @@ from .screen import Part, Score, screen
 __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
+LEAST = 1e-4  # m, error that is asked of no twin
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
 
@@ -64,6 +65,7 @@ class Inquiry:
     yardstick    a force field without a name, scored and refitted like the hypotheses
     watched      by recording (F, n, 3) m, the baseline under the observer
     push         by recording (F, n, 3) m/s^2, what the observer pushed with
+    finest       m, error that is good enough for a frame, noise apart
     """
 
     simulators: list[Simulator]
@@ -76,6 +78,7 @@ class Inquiry:
     yardstick: Refit | None
     watched: list[np.ndarray]
     push: list[np.ndarray]
+    finest: float = FINEST
 
     @property
     def case(self) -> Replica:
@@ -134,15 +137,14 @@ def inquire(
     parts += [Part(f"transfer_{k}" if k else "transfer", k + 1, 0, replicas[k + 1].frames) for k in range(len(transfer))]
 
     progress("fitting the twin")
-    task = Task(simulators[:1], [train], BANDWIDTH)
-    model = baseline_model(replicas)
+    model, finest = baseline_model(replicas), FINEST
     if fitted_on:
         others = simulators[1 + len(transfer) :]
-        start = first_fit(Task(others, [s.replica.frames for s in others], BANDWIDTH), model, iterations=preset.first)
-        start = _firm(start)
-    else:
-        start = first_fit(task, model, iterations=preset.first)
-    wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH)
+        found = first_fit(Task(others, [s.replica.frames for s in others], BANDWIDTH), model, iterations=preset.first)
+        finest = _shown(found, len(others))
+    task = Task(simulators[:1], [train], BANDWIDTH, finest)
+    start = _firm(found) if fitted_on else first_fit(task, model, iterations=preset.first)
+    wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH, finest)
     base = refit(task, start, [], iterations=preset.steps, spacing=replicas[0].spacing)[0]
     watched = [wide.predict(base.model, [base.z])[k][0] for k in range(len(wide.simulators))]
     push = [missing_acceleration(s.replica, x, BANDWIDTH) for s, x in zip(wide.simulators, watched, strict=True)]
@@ -151,9 +153,9 @@ def inquire(
     fitted = watched[0][:train]  # its push anew: that of the whole recording is smoothed over frames that are held out
     push_fitted = missing_acceleration(replicas[0], fitted, BANDWIDTH)
     hypotheses = [h for h in hypotheses_for(simulators[0], fitted, push_fitted) if h.term not in base.model.terms]
-    scores = screen(Task(simulators[:1], [frames], BANDWIDTH), base, [*hypotheses, _learned()], parts[:2])
+    scores = screen(Task(simulators[:1], [frames], BANDWIDTH, finest), base, [*hypotheses, _learned()], parts[:2])
     learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
-    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push)
+    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push, finest)
 
     best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
     chosen = sorted(best, key=promise, reverse=True)[: preset.refits]
@@ -194,6 +196,11 @@ def _learned() -> Hypothesis:
 
 def _size(unit):
     return {"m/s^2": 1.0, "1/s": 1.0, "1/s^2": 10.0}[unit]
+
+
+def _shown(found: Fit, recordings: int) -> float:
+    """The error [m] that a twin has where nothing is missing: what may be asked of it elsewhere, if that is finer than of any twin."""
+    return float(np.clip(np.sqrt(found.history[-1] / recordings), LEAST, FINEST))
 
 
 def _firm(found: Fit) -> Fit:

@@ -23,7 +23,7 @@ MATERIAL = (
 SETTLED = -3.0  # log odds of an effect of the material where a twin of the same body was adequate without it: a prior, not fitted
 SLID = 0.5  # log of the growth of neighbour distances that deformation alone brings
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
-FINE, AT_EASE = 0.7, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
+FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 NONE, OTHER = "adequate", "unknown"
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
@@ -145,7 +145,7 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     noise = max(inquiry.case.sightings.noise, 1e-4)
     floor = float(np.log(np.sqrt(inquiry.base.observed["train"] / 3) / noise))
     best = max([_worth(r.features) for r in found if r.term], default=0.0)
-    excess = [np.log(inquiry.base.observed[p.name] / floor_of(inquiry.simulators[p.index].replica)) for p in inquiry.parts]
+    excess = [np.log(inquiry.base.observed[p.name] / floor_of(inquiry.simulators[p.index].replica, inquiry.finest)) for p in inquiry.parts]
     return {"learned": float(np.mean(gains)), "best": best, "floor": floor, "fine": float(max(excess) < FINE)}
 
 
