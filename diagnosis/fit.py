@@ -31,11 +31,13 @@ class Frames:
     of      (R,) frame of each residual
     share   (F,) share of what was seen that was seen in each frame; its residuals' squares sum to share times its mean square [m^2]
     floor   (F,) m^2, mean square below which a frame is as good as it need be
+    lost    m, error from which on a frame says that it was lost, however large it is
     """
 
     of: np.ndarray
     share: np.ndarray
     floor: np.ndarray
+    lost: float = LOST
 
     @classmethod
     def of_seen(cls, seen: Sequence[np.ndarray], floors: Sequence[float]) -> Frames:
@@ -46,19 +48,25 @@ class Frames:
         share = [one.sum(1) / max(1, one.sum()) for one in seen]
         return cls(np.concatenate(of), np.concatenate(share), np.repeat(np.asarray(floors, float), lengths))
 
+    def whole(self, recordings: Sequence[int]) -> Frames:
+        """The same residuals, with all frames of a recording as one, none of them ever lost; ``recordings`` have so many frames each."""
+        which = np.repeat(np.arange(len(recordings)), recordings)
+        first = np.cumsum([0, *recordings])[:-1]
+        return Frames(which[self.of], np.add.reduceat(self.share, first), self.floor[first], np.inf)
+
     def squares(self, residual: np.ndarray) -> np.ndarray:
         """(F,) mean square of every frame [m^2]; 0 where nothing was seen."""
         return np.bincount(self.of, residual**2, len(self.share)) / np.where(self.share > 0, self.share, 1.0)
 
     def misfit(self, residual: np.ndarray) -> float:
-        """Mean over frames of the log of their mean square plus the floor, which levels off at ``LOST``; summed over recordings."""
+        """Mean over frames of the log of their mean square plus the floor, which levels off at ``lost``; summed over recordings."""
         size = self.squares(residual) + self.floor
-        return float(self.share @ np.log(size / (1 + size / LOST**2)))
+        return float(self.share @ np.log(size / (1 + size / self.lost**2)))
 
     def weights(self, residual: np.ndarray) -> np.ndarray:
         """(R,) weights of squares whose sum has the misfit's gradient: about one over the frame's mean square plus the floor."""
         size = self.squares(residual) + self.floor
-        return (1 / (size * (1 + size / LOST**2)))[self.of]
+        return (1 / (size * (1 + size / self.lost**2)))[self.of]
 
     def huber(self, residual: np.ndarray, reference: np.ndarray) -> np.ndarray:
         """(R,) weights in (0, 1] that make residuals large for their frame count linearly, as judged at ``reference``."""

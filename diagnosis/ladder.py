@@ -12,13 +12,12 @@ from ..physics.terms.base import Term
 from .fit import Fit, Task, fit
 from .model import Knob, Model
 
-__all__ = ["Candidate", "Climb", "Rung", "Step", "balanced", "best", "climb", "errors", "led"]
+__all__ = ["Candidate", "Climb", "Rung", "Step", "best", "climb", "errors", "led"]
 
 LED = 1.0  # Hz, of the observer that leads simulations in the first steps of a fit
 STARTS = 2  # the best of a candidate's, which are tried further
 SCOUT = 2  # Gauss-Newton steps after which most candidates are left behind
 FINALISTS = 3  # that fit best then, and as many that do best on what is not fitted
-LEAST = 1e-3  # m: recordings that are better than this count alike
 WORTH = 0.02  # share of the error that a gain must be: less is no physics that anybody misses
 SURE = 2.0  # standard errors that a gain must exceed: the best of several exceeds one by chance
 DECADES = np.arange(-2.0, 4.01, 0.5)  # of a typical amplitude, tried as starts
@@ -125,19 +124,6 @@ def errors(task: Task, model: Model, z) -> np.ndarray:
     return np.array(found)
 
 
-def balanced(task: Task, model: Model, z) -> Task:
-    """The task with every recording weighed by its rms residual at ``z``: a fit then lowers shares of errors, not the worst ones first."""
-    plain = replace(task, weights=[])
-    residuals = [_residual(plain, k, p) for k, p in enumerate(plain.predict(model, [z], plain.substeps(model, z)))]
-    size = np.array([np.sqrt(r @ r) if np.isfinite(r).all() else np.inf for r in residuals])
-    return replace(plain, weights=[w / max(s, LEAST) for w, s in zip(plain.weights, size, strict=True)])
-
-
-def _residual(task, k, predicted):
-    gap = np.where(np.isfinite(task.seen(k)), task.seen(k) - predicted[0], 0.0)
-    return (gap * task.weights[k][..., None]).ravel()
-
-
 def climb(
     task: Task,
     validation: Task,
@@ -162,7 +148,6 @@ def climb(
     start_error = float(errors(validation, base.model, base.z).mean())
     rivals: tuple[Rung, ...] = ()
     while len(steps) < most:
-        task, scouting = (balanced(t, found.model, found.z) for t in (task, scouting))
         plain = best(task, [found, _fit(task, found.model, found.z, SCOUT + iterations)])
         before = errors(validation, plain.model, plain.z)
         have = {a.name for a in accepted}

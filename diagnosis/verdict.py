@@ -20,7 +20,9 @@ MATERIAL = (
     *("strain_stiffening", "compression_softening", "anisotropy", "bending", "bending_damping", "torsion", "viscoelastic"),
     *("creep", "internal_friction", "rest_shape", "pressure"),
 )
-SETTLED = -3.0  # log odds of an effect of the material where a twin of the same body was adequate without it: a prior, not fitted
+# Where a twin of the same body was adequate on other recordings (priors, not fitted): log odds of an effect of its material, which a
+# recording cannot add to it; and how many times more a gain tells, as the twin's own inadequacy is known to be small.
+SETTLED, SHARPER = -12.0, 3.0
 SLID = 0.5  # log of the growth of neighbour distances that deformation alone brings
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
@@ -154,7 +156,8 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     names, values = [], []
     for reading in found:
         names.append(reading.effect)
-        value = c.biases.get(reading.key, 0.0) + sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
+        told = sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
+        value = c.biases.get(reading.key, 0.0) + told * (SHARPER if "settled" in reading.features else 1.0)
         value += SETTLED * reading.features.get("settled", 0.0)
         values.append(value)
     for name in (NONE, OTHER):
