@@ -20,6 +20,7 @@ __all__ = ["Hypothesis", "catalogue", "hypotheses_for"]
 
 PEAKS, SPREAD = 4, 4  # places tried: where the observer pushes most, and evenly over the body
 LIMP = 0.1  # share of a body's extent that stands out by itself where bending is noticeable
+PART = 0.25  # of a body's extent: what reaches farther is no part of it
 ANY = 10.0  # noticeable sizes: an effect may be as large
 FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
 STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
@@ -33,6 +34,7 @@ class Hypothesis:
     term: type[Term]
     values: dict[str, float]
     knobs: tuple[Knob, ...]
+    widest: float = np.inf  # m, of the patch that it acts in
 
     @property
     def place(self) -> np.ndarray | None:
@@ -56,7 +58,8 @@ class Hypothesis:
         for name in effect.shapes:
             p = known[name]
             if p.scale == "log":
-                knobs.append(Knob(name, self.values[name], 0.7, p.low, p.high, log=True, step=0.1))
+                high = min(p.high, self.widest) if name == effect.within else p.high
+                knobs.append(Knob(name, self.values[name], 0.7, p.low, high, log=True, step=0.1))
         for axis in "xyz" if effect.place else "":
             p = known[f"{effect.place}_{axis}"]
             knobs.append(Knob(p.name, self.values[p.name], 2 * spacing, p.low, p.high, step=0.15))
@@ -80,10 +83,12 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
         effect, known = term.effect, {p.name: p for p in term.parameters}
         size = max(abs(effect.typical[a]) for a in effect.amplitudes) if term.stage != "hinge" else _rigidity(simulator.replica, term)
         knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=ANY) for a in effect.amplitudes)
-        for shape in product(*effect.shapes.values()):
-            values = dict(zip(effect.shapes, shape, strict=True))
+        widest = PART * float(np.linalg.norm(np.ptp(simulator.replica.nodes, axis=0)))
+        shapes = {n: sorted({min(v, widest) for v in of}) if n == effect.within else of for n, of in effect.shapes.items()}
+        for shape in product(*shapes.values()):
+            values = dict(zip(shapes, shape, strict=True))
             for place in _places(term, simulator, predicted, push, values):
-                found.append(Hypothesis(effect.name, term, {**values, **place}, knobs))
+                found.append(Hypothesis(effect.name, term, {**values, **place}, knobs, widest))
     return found
 
 
