@@ -271,9 +271,9 @@ def by_effect(results: dict[str, dict], labels: dict[str, dict]) -> str:
 
 
 def thresholds(
-    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.05, seeds: Sequence[int] = (0,)
+    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.05, seeds: Sequence[int] = (0, 1, 2)
 ) -> tuple[float, float, float]:
-    """Least probabilities (named, both, sure) that keep named alarms on controls below the share ``alarms`` in cross-validation."""
+    """Least probabilities (named, both, sure) that keep alarms on controls below the share ``alarms`` in cross-validations by ``seeds``."""
     best, chosen = -np.inf, (0.5, 0.7, 0.5)
     runs = [crossed(results, labels, seed=s) for s in seeds]
     for named in (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7):
