@@ -15,7 +15,6 @@ __all__ = ["Scene", "Sensor", "View"]
 LIGHT = np.array([0.3, 0.4, -0.87])  # towards the light, world axes
 TABLE = (0.55, 0.54, 0.52)  # RGB; plain, so that the images pack well
 FAR = 2.0  # no depth is measured beyond [m]
-OVERSAMPLE = 3  # odd, so that a pixel's centre is one of its samples
 
 
 @dataclass(frozen=True)
@@ -60,6 +59,7 @@ class Sensor:
     target         what the cameras look at, world axes [m]
     depth_noise    standard deviation over the pixels of a camera's depth error [m]; depth is then rounded to millimetres
     track_noise    standard deviation of a tracked coordinate [m]
+    oversample     samples of colour across a pixel; odd, so that its centre is one of them
     """
 
     width: int = 54
@@ -72,12 +72,15 @@ class Sensor:
     target: tuple[float, float, float] = (0.0, 0.0, -0.14)
     depth_noise: float = 0.0005
     track_noise: float = 0.0007
+    oversample: int = 3
 
     def __post_init__(self):
         if self.width < 8 or self.height < 8 or not self.azimuths:
             raise ValueError(f"sensor needs a camera and at least 8 x 8 pixels, got {len(self.azimuths)} of {self.width} x {self.height}")
         if min(self.depth_noise, self.track_noise) < 0:
             raise ValueError(f"sensor noise must be >= 0, got {self.depth_noise} and {self.track_noise}")
+        if self.oversample < 1 or self.oversample % 2 == 0:
+            raise ValueError(f"sensor oversample must be odd and >= 1, got {self.oversample}")
 
     def cameras(self) -> tuple[Camera, ...]:
         """The calibrated cameras, the first of them the centre view."""
@@ -89,15 +92,15 @@ class Sensor:
 
     def take(self, camera: Camera, scene: Scene, pattern: np.ndarray) -> View:
         """One RGB-D image of a scene on the table z = 0; ``pattern`` (H, W) is the camera's depth error [m]."""
-        fine = finer(camera, OVERSAMPLE)
+        fine, n = finer(camera, self.oversample), self.oversample
         raster = rasterise(fine, scene.vertices, scene.faces)
         table = _table(fine)
         near = np.minimum(raster.depth, table)
         seen = (raster.face >= 0) & (raster.depth < table)
         color = np.full((*near.shape, 3), TABLE)
         color[seen] = _shade(raster, scene)[seen[raster.face >= 0]]
-        color = color.reshape(self.height, OVERSAMPLE, self.width, OVERSAMPLE, 3).mean(axis=(1, 3))
-        centre = np.s_[OVERSAMPLE // 2 :: OVERSAMPLE, OVERSAMPLE // 2 :: OVERSAMPLE]
+        color = color.reshape(self.height, n, self.width, n, 3).mean(axis=(1, 3))
+        centre = np.s_[n // 2 :: n, n // 2 :: n]
         depth = np.round(near[centre] + pattern, 3)
         body = seen & (raster.face < scene.body_faces)
         return View(
@@ -121,12 +124,12 @@ class Sensor:
         nearest = np.round(pixel).astype(int)
         inside = ((nearest >= 0) & (nearest < [self.width, self.height])).all(axis=1) & (depth > 0)
         column, row = np.clip(nearest, 0, [self.width - 1, self.height - 1]).T
-        fine = np.round(finer(camera, OVERSAMPLE).project(points)[0]).astype(int)
+        fine = np.round(finer(camera, self.oversample).project(points)[0]).astype(int)
         near = view.near[tuple(np.clip(fine, 0, [view.near.shape[1] - 1, view.near.shape[0] - 1]).T[::-1])]
         ray = camera.camera_to_world[:3, 3] - points
         cosine = np.einsum("nd,nd->n", facing, ray) / np.linalg.norm(ray, axis=1)
-        # A fine pixel is depth / (focal * OVERSAMPLE) wide; a surface seen at this cosine changes depth by that much over half of it.
-        slope = depth / (self.focal * OVERSAMPLE) / np.maximum(cosine, 0.2)
+        # A fine pixel is depth / (focal * oversample) wide; a surface seen at this cosine changes depth by that much over half of it.
+        slope = depth / (self.focal * self.oversample) / np.maximum(cosine, 0.2)
         return inside & mask[row, column] & (cosine > 0.2) & (depth < near + slope + 0.002)
 
 
