@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.concealed import bodies, laws, motions
 from twinbench.datasets.concealed.bodies import Body, cloth, lumped, plush, rope
-from twinbench.datasets.concealed.case import CONTROLS, build, rms
+from twinbench.datasets.concealed.case import CONTROLS, _scripts, build, rms
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE, Occasion
 from twinbench.datasets.concealed.engine import Physics, Unstable, World, simulate
 from twinbench.datasets.concealed.motions import Script
@@ -483,6 +483,50 @@ def test_the_catalogue_is_the_agreed_one():
     assert len(OUTSIDE) >= 6 and not set(OUTSIDE) & set(EFFECTS)
     with pytest.raises(ValueError, match="unknown effect 'levitation'"):
         build("effect", "levitation", "rope", seed=0)
+    with pytest.raises(ValueError, match=r"unknown pair 'wind\+levitation'"):
+        build("pair", "wind+levitation", "rope", seed=0)
+    with pytest.raises(ValueError, match="unknown effect 'levitation'"):
+        build("control", "plain", "rope", seed=0, like="levitation")
+
+
+def test_two_effects_surround_a_body_together():
+    law, other = object(), object()
+    both = Physics(laws=(law,), table="t").joined(Physics(gravity=(1.0, 0.0, -9.0), laws=(other,), geoms="g"))
+    assert both == Physics((1.0, 0.0, -9.0), (law, other), "g", "t")
+    assert Physics(gravity=(1.0, 0.0, -9.0)).joined(Physics()).gravity == (1.0, 0.0, -9.0)
+    assert Faults(delay=2, camera=1).joined(Faults(drift_share=0.3)) == Faults(delay=2, camera=1, drift_share=0.3)
+
+
+@pytest.mark.slow
+def test_a_pair_has_both_effects_as_they_are_alone():
+    case = build("pair", "added_mass+controller_delay", "rope", seed=5)
+    label = case.label
+    assert label["effect"] == "added_mass+controller_delay" and [p["effect"] for p in label["parts"]] == ["added_mass", "controller_delay"]
+    assert all(part["displacement"] >= 0.010 for part in label["parts"])  # each is clear by itself
+    heavy, late = label["parts"]
+    # the particles of the place are those around its vertices
+    at = case.fit.structure[heavy["place"][0]["points"]]
+    near = np.linalg.norm(at - heavy["place"][0]["centroid"], axis=1)
+    assert len(at) >= 3 and near.max() < heavy["place"][0]["radius"] + 0.02  # half the distance of two vertices, and the cord's radius
+    # hands that are reported late stand still for that long: noise is half a millimetre at most, and they set off at 3 cm a frame
+    frames = late["parameters"]["frames"]
+    still = np.linalg.norm(case.fit.controllers - case.fit.controllers[0], axis=2).mean(axis=1)
+    assert frames >= 1 and still[frames] < 0.003
+
+
+@pytest.mark.parametrize("like", ["friction_law", "torsion"])
+def test_a_control_is_filmed_in_the_interactions_of_an_effect(like):
+    rng = np.random.default_rng(0)
+    body = rope(rng)
+    for _ in range(20):
+        scripts = _scripts([EFFECTS[like]], body, rng)
+        assert {script.name for script in scripts} <= set(EFFECTS[like].fits)
+
+
+@pytest.mark.slow
+def test_a_small_effect_is_as_small_as_is_asked():
+    label = build("effect", "gravity_tilt", "plush", seed=3, clear=(0.003, 0.0047)).label
+    assert 0.003 <= label["displacement"] <= 0.0047 and label["chaos"] < 0.0047 / 1.5
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from .effects import EFFECTS, OUTSIDE, Effect, Occasion
 from .engine import Motion, Unstable, simulate
 from .sensing import Tracker, observe
 
-__all__ = ["CONTROLS", "Case", "build"]
+__all__ = ["CLEAR", "CONTROLS", "Case", "build"]
 
 CLEAR = (0.010, 0.060)  # RMS displacement of the points by an effect of clear size [m]
 LEAST = 0.005  # and at least that in the transfer recording [m]
@@ -39,20 +39,24 @@ class Case:
 CONTROLS = ("plain", "finer_mesh", "uneven_stiffness", "more_drift", "long_occlusion", "other_damping", "other_bending")
 
 
-def build(kind: str, name: str, body: str, *, seed: int, clear: tuple[float, float] = CLEAR) -> Case:
-    """One case. ``kind`` is effect, control or outside, ``name`` what of that kind, ``body`` cloth, rope or plush.
+def build(kind: str, name: str, body: str, *, seed: int, clear: tuple[float, float] = CLEAR, like: str = "") -> Case:
+    """One case. ``kind`` is effect, control, outside or pair, ``name`` what of that kind (a pair ``one+other``), ``body`` cloth, rope, plush.
 
-    An effect's size is searched until it moves the points of the fit recording by ``clear`` [m RMS] and by more than chaos does.
+    An effect's size is searched until it moves the points of the fit recording by ``clear`` [m RMS] and by more than chaos does; of a pair
+    each by itself. A control is filmed in interactions that could show the effect ``like``, so that these say nothing; in any unless given.
     Raises ValueError for unknown names, RuntimeError where no draw gives a stable and visible effect.
     """
-    known = {"effect": EFFECTS, "outside": OUTSIDE, "control": CONTROLS}
-    if kind not in known or name not in known[kind]:
+    known = {"effect": EFFECTS, "outside": OUTSIDE, "control": CONTROLS, "pair": EFFECTS}
+    names = name.split("+") if kind == "pair" else [name]
+    if kind not in known or not set(names) <= set(known[kind]) or len(names) != 1 + (kind == "pair"):
         raise ValueError(f"unknown {kind} {name!r}; known: {', '.join(known.get(kind, known))}")
+    if like and like not in EFFECTS | OUTSIDE:
+        raise ValueError(f"unknown effect {like!r}; known: {', '.join(EFFECTS | OUTSIDE)}")
     reasons = []
     for attempt in range(DRAWS):
         rng = np.random.default_rng([seed, attempt])
         try:
-            return _attempt(kind, name, body, rng, seed, attempt, clear)
+            return _attempt(kind, names, body, rng, seed, attempt, clear, like)
         except (Unstable, Dull) as reason:
             reasons.append(str(reason))
     raise RuntimeError(f"no {name} of a {body} in {DRAWS} draws: {'; '.join(reasons)}")
@@ -62,8 +66,8 @@ class Dull(RuntimeError):
     """An effect cannot be seen."""
 
 
-def _attempt(kind, name, body_kind, rng, seed, attempt, clear):
-    planned = None if kind == "control" else (EFFECTS | OUTSIDE)[name]
+def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like):
+    planned, name = [(EFFECTS | OUTSIDE)[n] for n in names if kind != "control"], names[0]
     body = bodies.draw(body_kind, rng, fine=name == "finer_mesh")
     if name == "uneven_stiffness":
         body = _uneven(body, rng)
@@ -73,15 +77,19 @@ def _attempt(kind, name, body_kind, rng, seed, attempt, clear):
         body = replace(body, bending=body.bending * rng.choice([0.3, 4.0]))
     if name == "other_bending" and body.dim == 1:
         body = replace(body, young=body.young * rng.choice([0.4, 2.5]))
-    scripts = _scripts(planned, body, rng)
-    plain = tuple(simulate(body, script) for script in scripts)
+    scripts = _scripts(planned or [(EFFECTS | OUTSIDE)[like]] if planned or like else [], body, rng)
+    plain = (simulate(body, scripts[0]),)
     chaos = _chaos(body, scripts[0], plain[0])
-    if chaos > CHAOS:
+    if chaos > min(CHAOS, clear[1] / BEYOND if planned else np.inf):
         raise Dull(f"a tenth of a millimetre grows to {1000 * chaos:.1f} mm")
+    plain = (*plain, simulate(body, scripts[1]))
+    parts = [_clear(one, body, scripts, plain, rng, clear, chaos) for one in planned]
     if kind == "control":
         effect, motion, sizes = Effect(body), plain, {"displacement": 0.0}
+    elif kind == "pair":
+        effect, motion, sizes = _both(planned, parts, body, scripts, plain, clear)
     else:
-        effect, motion, sizes = _clear(planned, body, scripts, plain, rng, clear, chaos)
+        effect, motion, sizes = parts[0][:3]
     tracker = Tracker.draw(rng)
     if name == "more_drift":
         tracker = replace(tracker, drift=2.2 * tracker.drift, noise=1.3 * tracker.noise)
@@ -91,13 +99,20 @@ def _attempt(kind, name, body_kind, rng, seed, attempt, clear):
         observe(effect.body, script, m, tracker, effect.faults, np.random.default_rng([seed, attempt, i]), name=part)
         for i, (part, script, m) in enumerate(zip(("fit", "transfer"), scripts, motion, strict=True))
     ]
-    label = _label(kind, name, effect, scripts, motion, tracker, seed, attempt, sizes | {"chaos": chaos})
+    label = _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes | {"chaos": chaos})
+    label["place"] = _places([effect], motion, recordings)[0]
+    if kind == "pair":
+        there = _places([p[0] for p in parts], motion, recordings)
+        label["parts"] = [
+            {"effect": n, "parameters": p[0].parameters, **p[2], "place": at, "onset": [_onset(p[0], m) for m in p[1]]}
+            for n, p, at in zip(names, parts, there, strict=True)
+        ]
     return Case(*recordings, label)
 
 
 def _scripts(planned, body, rng):
-    """Two interactions that can show the effect, of different kinds where more than one can."""
-    able = list(planned.fits) if planned else list(motions.KINDS)
+    """Two interactions that can show all that is planned, of different kinds where more than one can."""
+    able = [kind for kind in (planned[0].fits if planned else motions.KINDS) if all(kind in one.fits for one in planned)]
     if planned and body.kind == "plush":  # two hands leave a short thick body no freedom to show anything but stretch
         able = [kind for kind in able if kind not in ("twist", "two_hands")] or able
     first = rng.choice(able)
@@ -108,7 +123,8 @@ def _scripts(planned, body, rng):
 def _clear(planned, body, scripts, plain, rng, clear, chaos):
     """The effect at a size that moves the points of the fit recording clearly, the motions with it, and by how much it moves them."""
     low, high = max(clear[0], BEYOND * chaos), clear[1] * planned.most
-    entropy, size, tried = int(rng.integers(2**63)), 1.0, []
+    least = min(1.0, clear[0] / CLEAR[0])
+    sizes, entropy, size, tried = (SIZES[0] * least, SIZES[1]), int(rng.integers(2**63)), 1.0, []
     under = over = None
     for _ in range(SEARCH if planned.sized else 1):
         try:
@@ -123,16 +139,54 @@ def _clear(planned, body, scripts, plain, rng, clear, chaos):
         under, over = (size, over) if moved < low else (under, size)
         if under and over:
             size = float(np.sqrt(under * over))
-        elif size in SIZES:
+        elif size in sizes:
             break
         else:
-            size = float(np.clip(2.5 * size if under else 0.4 * size, *SIZES))
+            size = float(np.clip(2.5 * size if under else 0.4 * size, *sizes))
     if not low <= moved <= high:
         raise Dull(f"{planned.name} finds no size that moves the points by {1000 * low:.0f} to {1000 * high:.0f} mm: {', '.join(tried)}")
     later, motion_later = _moved(planned, effect, scripts[1], plain[1])
-    if not LEAST <= later < np.inf:
+    if not LEAST * least <= later < np.inf:
         raise Dull(f"{planned.name} moves the points of the transfer recording by {1000 * later:.1f} mm")
-    return effect, (motion, motion_later), {"displacement": moved, "displacement_transfer": later, "size": size}
+    return effect, (motion, motion_later), {"displacement": moved, "displacement_transfer": later, "size": size}, entropy
+
+
+def _both(planned, parts, body, scripts, plain, clear):
+    """Two effects at the sizes that are clear by themselves, the motions with both, and by how much both move the points."""
+    (first, _, _, _), (_, _, one, entropy) = parts
+
+    def second(on):
+        drawn = planned[1].draw(Occasion(on, scripts, plain, np.random.default_rng(entropy)), one["size"])
+        return replace(drawn, without=drawn.without or on)
+
+    try:
+        other, alone = second(first.body), second(first.without)
+    except ValueError as reason:
+        raise Dull(f"{planned[1].name}: {reason}") from None
+    effect = Effect(
+        other.body,
+        first.physics.joined(other.physics),
+        first.faults.joined(other.faults),
+        substeps=max(first.substeps, other.substeps),
+        without=alone.without,
+        around=first.around.joined(other.around),
+    )
+    motion, moved = [], []
+    for script, still in zip(scripts, plain, strict=True):
+        try:
+            now = (
+                simulate(effect.body, script, effect.physics, substeps=effect.substeps)
+                if not all(p.measurement for p in planned)
+                else still
+            )
+        except Unstable as reason:
+            raise Dull(f"both together: {reason}") from None
+        without = simulate(effect.without, script, effect.around, substeps=effect.substeps)
+        motion.append(now)
+        moved.append(float(np.hypot(rms(now.vertices - without.vertices), _believed(effect, script, now))))
+    if not clear[0] / 2 <= min(moved):
+        raise Dull(f"{planned[0].name} and {planned[1].name} undo each other")
+    return effect, tuple(motion), {"displacement": moved[0], "displacement_transfer": moved[1]}
 
 
 def _moved(planned, effect, script, plain):
@@ -178,19 +232,18 @@ def _uneven(body, rng):
     return replace(body, stiffness=1 + 0.3 * wave / np.abs(wave).max())
 
 
-def _label(kind, name, effect, scripts, motion, tracker, seed, attempt, sizes):
+def _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes):
     import mujoco
 
     label = {
         "kind": kind,
-        "effect": name if kind != "control" else None,
-        "control": name if kind == "control" else None,
-        "measurement": kind == "effect" and EFFECTS[name].measurement,
+        "effect": "+".join(names) if kind != "control" else None,
+        "control": names[0] if kind == "control" else None,
+        "measurement": kind == "effect" and EFFECTS[names[0]].measurement,
         "object": effect.body.kind,
         "interactions": [script.name for script in scripts],
         "parameters": effect.parameters,
         **sizes,
-        "place": [_place(effect, m) for m in motion],
         "onset": [_onset(effect, m) for m in motion],
         "seed": [seed, attempt],
         "body": _about(effect.body),
@@ -200,15 +253,25 @@ def _label(kind, name, effect, scripts, motion, tracker, seed, attempt, sizes):
     return label
 
 
-def _place(effect: Effect, motion: Motion):
-    """Where the effect is, in frame-0 world metres: centroid and radius, or None."""
+def _places(effects, motions, recordings):
+    """By effect, its place in each recording."""
+    return [[_place(one, m, r) for m, r in zip(motions, recordings, strict=True)] for one in effects]
+
+
+def _place(effect: Effect, motion: Motion, recording: Scenario):
+    """Where the effect is, in frame-0 world metres: centroid and radius, and which particles of the recording's structure; or None."""
     if effect.place is not None:
-        return {"centroid": to_world(effect.place).tolist(), "radius": float(effect.radius)}
+        return {"centroid": to_world(effect.place).tolist(), "radius": float(effect.radius), "points": []}
     if effect.vertices is None:
         return None
-    points = to_world(motion.vertices[0, effect.vertices])
+    from scipy.spatial import cKDTree
+
+    every = to_world(motion.vertices[0])
+    points = every[effect.vertices]
     centre = points.mean(axis=0)
-    return {"centroid": centre.tolist(), "radius": float(np.linalg.norm(points - centre, axis=1).max())}
+    affected = np.isin(cKDTree(every).query(recording.structure)[1], effect.vertices)
+    radius = float(np.linalg.norm(points - centre, axis=1).max())
+    return {"centroid": centre.tolist(), "radius": radius, "points": np.flatnonzero(affected).tolist()}
 
 
 def _onset(effect: Effect, motion: Motion):
@@ -220,4 +283,5 @@ def _onset(effect: Effect, motion: Motion):
 
 def _about(body: Body):
     plain = {k: v for k, v in vars(body).items() if isinstance(v, (int, float, str, bool))}
-    return plain | {"vertices": len(body.vertices), "mass_kg": float(body.mass.sum())} | body.about
+    whole = {"vertices": len(body.vertices), "mass_kg": float(body.mass.sum()), "area_m2": float(body.area.sum())}
+    return plain | whole | body.about

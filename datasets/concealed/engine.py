@@ -37,6 +37,11 @@ class Physics:
     geoms: str = ""
     table: str = ""
 
+    def joined(self, other: Physics) -> Physics:
+        """The surroundings with both."""
+        gravity = other.gravity if self.gravity == Physics.gravity else self.gravity
+        return Physics(gravity, self.laws + other.laws, self.geoms + other.geoms, self.table or other.table)
+
 
 @dataclass(frozen=True)
 class Motion:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,10 @@ class Faults:
     drift_share: float = 0.0
     drift_most: float = 0.0
     grip_shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def joined(self, other: Faults) -> Faults:
+        """Both: what ``other`` says wins where they differ from honest measurement."""
+        return replace(self, **{k: v for k, v in vars(other).items() if v != getattr(Faults, k)})
 
 
 @dataclass(frozen=True)
