@@ -40,7 +40,7 @@ CONTROLS = ("plain", "finer_mesh", "uneven_stiffness", "more_drift", "long_occlu
 
 
 def build(kind: str, name: str, body: str, *, seed: int, clear: tuple[float, float] = CLEAR, like: str = "") -> Case:
-    """One case. ``kind`` is effect, control, outside or pair, ``name`` what of that kind (a pair ``one+other``), ``body`` cloth, rope, plush.
+    """One case. ``kind`` is effect, control, outside or pair, ``name`` what of it (a pair ``one+other``), ``body`` cloth, rope, plush.
 
     An effect's size is searched until it moves the points of the fit recording by ``clear`` [m RMS] and by more than chaos does; of a pair
     each by itself. A control is filmed in interactions that could show the effect ``like``, so that these say nothing; in any unless given.
