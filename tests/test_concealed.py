@@ -300,7 +300,7 @@ def test_static_friction_holds_what_kinetic_friction_lets_slide(extra):
 
 
 def test_a_moving_table_carries_a_sheet_along():
-    motion = simulate(sheet(), FREE, Physics(table='surfacevel="0.1 0 0 0 0 0"'))
+    motion = simulate(sheet(), FREE, Physics(belt=(0.1, 0.0)))
     # Friction accelerates it at mu g = 4 m/s^2, so after settling it moves with the table: 0.1 m in a second.
     np.testing.assert_allclose((motion.vertices[-1] - motion.vertices[0]).mean(axis=0)[:2], [0.1, 0], atol=0.003)
 
@@ -491,8 +491,8 @@ def test_the_catalogue_is_the_agreed_one():
 
 def test_two_effects_surround_a_body_together():
     law, other = object(), object()
-    both = Physics(laws=(law,), table="t").joined(Physics(gravity=(1.0, 0.0, -9.0), laws=(other,), geoms="g"))
-    assert both == Physics((1.0, 0.0, -9.0), (law, other), "g", "t")
+    both = Physics(laws=(law,), belt=(0.1, 0.0)).joined(Physics(gravity=(1.0, 0.0, -9.0), laws=(other,), obstacles=("o",)))
+    assert both == Physics((1.0, 0.0, -9.0), (law, other), ("o",), (0.1, 0.0))
     assert Physics(gravity=(1.0, 0.0, -9.0)).joined(Physics()).gravity == (1.0, 0.0, -9.0)
     assert Faults(delay=2, camera=1).joined(Faults(drift_share=0.3)) == Faults(delay=2, camera=1, drift_share=0.3)
 

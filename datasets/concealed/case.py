@@ -11,7 +11,8 @@ from ..synthetic.simulate import to_world
 from . import bodies, motions
 from .bodies import Body
 from .effects import EFFECTS, OUTSIDE, Effect, Occasion
-from .engine import Motion, Unstable, simulate
+from .engine import Motion, Unstable
+from .engines import engine as engine_of
 from .sensing import Tracker, observe
 
 __all__ = ["CLEAR", "CONTROLS", "Case", "build"]
@@ -39,11 +40,14 @@ class Case:
 CONTROLS = ("plain", "finer_mesh", "uneven_stiffness", "more_drift", "long_occlusion", "other_damping", "other_bending")
 
 
-def build(kind: str, name: str, body: str, *, seed: int, clear: tuple[float, float] = CLEAR, like: str = "") -> Case:
+def build(
+    kind: str, name: str, body: str, *, seed: int, clear: tuple[float, float] = CLEAR, like: str = "", engine: str = "mujoco"
+) -> Case:
     """One case. ``kind`` is effect, control, outside or pair, ``name`` what of it (a pair ``one+other``), ``body`` cloth, rope, plush.
 
     An effect's size is searched until it moves the points of the fit recording by ``clear`` [m RMS] and by more than chaos does; of a pair
     each by itself. A control is filmed in interactions that could show the effect ``like``, so that these say nothing; in any unless given.
+    ``engine`` of ``ENGINES`` simulates it.
     Raises ValueError for unknown names, RuntimeError where no draw gives a stable and visible effect.
     """
     known = {"effect": EFFECTS, "outside": OUTSIDE, "control": CONTROLS, "pair": EFFECTS}
@@ -52,11 +56,11 @@ def build(kind: str, name: str, body: str, *, seed: int, clear: tuple[float, flo
         raise ValueError(f"unknown {kind} {name!r}; known: {', '.join(known.get(kind, known))}")
     if like and like not in EFFECTS | OUTSIDE:
         raise ValueError(f"unknown effect {like!r}; known: {', '.join(EFFECTS | OUTSIDE)}")
-    reasons = []
+    simulated, reasons = engine_of(engine), []
     for attempt in range(DRAWS):
         rng = np.random.default_rng([seed, attempt])
         try:
-            return _attempt(kind, names, body, rng, seed, attempt, clear, like)
+            return _attempt(kind, names, body, rng, seed, attempt, clear, like, simulated)
         except (Unstable, Dull) as reason:
             reasons.append(str(reason))
     raise RuntimeError(f"no {name} of a {body} in {DRAWS} draws: {'; '.join(reasons)}")
@@ -66,7 +70,7 @@ class Dull(RuntimeError):
     """An effect cannot be seen."""
 
 
-def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like):
+def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine):
     planned, name = [(EFFECTS | OUTSIDE)[n] for n in names if kind != "control"], names[0]
     body = bodies.draw(body_kind, rng, fine=name == "finer_mesh")
     if name == "uneven_stiffness":
@@ -78,16 +82,16 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like):
     if name == "other_bending" and body.dim == 1:
         body = replace(body, young=body.young * rng.choice([0.4, 2.5]))
     scripts = _scripts(planned or [(EFFECTS | OUTSIDE)[like]] if planned or like else [], body, rng)
-    plain = (simulate(body, scripts[0]),)
-    chaos = _chaos(body, scripts[0], plain[0])
+    plain = (engine.simulate(body, scripts[0]),)
+    chaos = _chaos(body, scripts[0], plain[0], engine)
     if chaos > min(CHAOS, clear[1] / BEYOND if planned else np.inf):
         raise Dull(f"a tenth of a millimetre grows to {1000 * chaos:.1f} mm")
-    plain = (*plain, simulate(body, scripts[1]))
-    parts = [_clear(one, body, scripts, plain, rng, clear, chaos) for one in planned]
+    plain = (*plain, engine.simulate(body, scripts[1]))
+    parts = [_clear(one, body, scripts, plain, rng, clear, chaos, engine) for one in planned]
     if kind == "control":
         effect, motion, sizes = Effect(body), plain, {"displacement": 0.0}
     elif kind == "pair":
-        effect, motion, sizes = _both(planned, parts, body, scripts, plain, clear)
+        effect, motion, sizes = _both(planned, parts, body, scripts, plain, clear, engine)
     else:
         effect, motion, sizes = parts[0][:3]
     tracker = Tracker.draw(rng)
@@ -99,7 +103,7 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like):
         observe(effect.body, script, m, tracker, effect.faults, np.random.default_rng([seed, attempt, i]), name=part)
         for i, (part, script, m) in enumerate(zip(("fit", "transfer"), scripts, motion, strict=True))
     ]
-    label = _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes | {"chaos": chaos})
+    label = _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes | {"chaos": chaos}, engine)
     label["place"] = _places([effect], motion, recordings)[0]
     if kind == "pair":
         there = _places([p[0] for p in parts], motion, recordings)
@@ -120,7 +124,7 @@ def _scripts(planned, body, rng):
     return tuple(motions.draw(str(kind), body, rng) for kind in (first, second))
 
 
-def _clear(planned, body, scripts, plain, rng, clear, chaos):
+def _clear(planned, body, scripts, plain, rng, clear, chaos, engine):
     """The effect at a size that moves the points of the fit recording clearly, the motions with it, and by how much it moves them."""
     low, high = max(clear[0], BEYOND * chaos), clear[1] * planned.most
     least = min(1.0, clear[0] / CLEAR[0])
@@ -132,7 +136,7 @@ def _clear(planned, body, scripts, plain, rng, clear, chaos):
         except ValueError as reason:
             raise Dull(f"{planned.name}: {reason}") from None
         effect = replace(effect, without=effect.without or body)
-        moved, motion = _moved(planned, effect, scripts[0], plain[0])
+        moved, motion = _moved(planned, effect, scripts[0], plain[0], engine)
         if low <= moved <= high:
             break
         tried.append(f"{size:.3g} by {1000 * moved:.1f} mm")
@@ -145,13 +149,13 @@ def _clear(planned, body, scripts, plain, rng, clear, chaos):
             size = float(np.clip(2.5 * size if under else 0.4 * size, *sizes))
     if not low <= moved <= high:
         raise Dull(f"{planned.name} finds no size that moves the points by {1000 * low:.0f} to {1000 * high:.0f} mm: {', '.join(tried)}")
-    later, motion_later = _moved(planned, effect, scripts[1], plain[1])
+    later, motion_later = _moved(planned, effect, scripts[1], plain[1], engine)
     if not LEAST * least <= later < np.inf:
         raise Dull(f"{planned.name} moves the points of the transfer recording by {1000 * later:.1f} mm")
     return effect, (motion, motion_later), {"displacement": moved, "displacement_transfer": later, "size": size}, entropy
 
 
-def _both(planned, parts, body, scripts, plain, clear):
+def _both(planned, parts, body, scripts, plain, clear, engine):
     """Two effects at the sizes that are clear by themselves, the motions with both, and by how much both move the points."""
     (first, _, _, _), (_, _, one, entropy) = parts
 
@@ -175,13 +179,13 @@ def _both(planned, parts, body, scripts, plain, clear):
     for script, still in zip(scripts, plain, strict=True):
         try:
             now = (
-                simulate(effect.body, script, effect.physics, substeps=effect.substeps)
+                engine.simulate(effect.body, script, effect.physics, substeps=effect.substeps)
                 if not all(p.measurement for p in planned)
                 else still
             )
         except Unstable as reason:
             raise Dull(f"both together: {reason}") from None
-        without = simulate(effect.without, script, effect.around, substeps=effect.substeps)
+        without = engine.simulate(effect.without, script, effect.around, substeps=effect.substeps)
         motion.append(now)
         moved.append(float(np.hypot(rms(now.vertices - without.vertices), _believed(effect, script, now))))
     if not clear[0] / 2 <= min(moved):
@@ -189,15 +193,15 @@ def _both(planned, parts, body, scripts, plain, clear):
     return effect, tuple(motion), {"displacement": moved[0], "displacement_transfer": moved[1]}
 
 
-def _moved(planned, effect, script, plain):
+def _moved(planned, effect, script, plain, engine):
     """RMS by which the effect moves the points [m], infinite where it blows up; and the motion with it."""
     if planned.measurement:
         return _believed(effect, script, plain), plain
     try:
-        motion = simulate(effect.body, script, effect.physics, substeps=effect.substeps)
+        motion = engine.simulate(effect.body, script, effect.physics, substeps=effect.substeps)
     except Unstable:
         return np.inf, None
-    without = simulate(effect.without, script, effect.around, substeps=effect.substeps)
+    without = engine.simulate(effect.without, script, effect.around, substeps=effect.substeps)
     return rms(motion.vertices - without.vertices), motion
 
 
@@ -212,10 +216,10 @@ def _believed(effect, script, motion):
     return float(np.sqrt(np.mean(points**2)) + np.sqrt(np.mean(hands**2)))
 
 
-def _chaos(body, script, motion):
+def _chaos(body, script, motion, engine):
     """RMS by which a motion changes when the hands start a tenth of a millimetre aside [m]: what no twin can predict."""
     moved = tuple(replace(h, moves=tuple((x + NUDGE * (k > 0), y, z) for k, (x, y, z) in enumerate(h.moves))) for h in script.hands)
-    return rms(simulate(body, replace(script, hands=moved)).vertices - motion.vertices)
+    return rms(engine.simulate(body, replace(script, hands=moved)).vertices - motion.vertices)
 
 
 def rms(difference: np.ndarray) -> float:
@@ -232,9 +236,7 @@ def _uneven(body, rng):
     return replace(body, stiffness=1 + 0.3 * wave / np.abs(wave).max())
 
 
-def _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes):
-    import mujoco
-
+def _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes, engine):
     label = {
         "kind": kind,
         "effect": "+".join(names) if kind != "control" else None,
@@ -248,7 +250,7 @@ def _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes):
         "seed": [seed, attempt],
         "body": _about(effect.body),
         "tracker": dict(vars(tracker)),
-        "engine": {"mujoco": mujoco.__version__, "integrator": "discrete", "substeps": effect.substeps},
+        "engine": engine.about() | {"substeps": effect.substeps},
     }
     return label
 

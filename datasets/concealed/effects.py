@@ -14,7 +14,7 @@ import numpy as np
 from ..synthetic.simulate import GRAVITY
 from . import laws
 from .bodies import Body
-from .engine import SLIPPERY, Motion, Physics
+from .engine import Motion, Obstacle, Physics
 from .motions import Script
 from .sensing import Faults
 
@@ -243,10 +243,8 @@ def hidden_obstacle(on, size):
         place = np.array([*place[:2], radius])
     if cKDTree(start).query(place)[0] < 1.45 * radius + 0.004:
         raise ValueError("no room for the obstacle at frame 0")
-    size3 = {"sphere": f"{radius}", "cylinder": f"{radius} {radius}", "box": f"{radius} {radius} {radius}"}[kind]
-    stiff = 'solref="0.003 1" solimp="0.99 0.999 0.001"'
-    geom = f'<geom type="{kind}" size="{size3}" pos="{place[0]} {place[1]} {place[2]}" friction="{SLIPPERY}" {stiff}/>'
-    return Effect(on.body, Physics(geoms=geom), parameters={"shape": str(kind), "size_m": radius}, place=place, radius=radius)
+    obstacle = Obstacle(str(kind), tuple(place), radius)
+    return Effect(on.body, Physics(obstacles=(obstacle,)), parameters={"shape": str(kind), "size_m": radius}, place=place, radius=radius)
 
 
 @_effect(("cloth",), ("fold", "circle", "twist", "drag"), sized=False, most=2.0)
@@ -376,8 +374,7 @@ def changing_stiffness(on, size):
 def moving_table(on, size):
     angle, speed = on.rng.uniform(0, 2 * np.pi), size * on.rng.uniform(0.06, 0.15)
     velocity = speed * np.array([np.cos(angle), np.sin(angle), 0])
-    table = f'surfacevel="{velocity[0]} {velocity[1]} 0 0 0 0"'
-    return Effect(on.body, Physics(table=table), parameters={"velocity_m_s": _world(velocity)})
+    return Effect(on.body, Physics(belt=tuple(velocity[:2])), parameters={"velocity_m_s": _world(velocity)})
 
 
 @_effect(fits=("lift_shake", "two_hands", "circle"), into=OUTSIDE)

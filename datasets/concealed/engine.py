@@ -12,7 +12,7 @@ from .bodies import Body
 from .elements import Elements
 from .motions import Script
 
-__all__ = ["Law", "Motion", "Unstable", "World", "simulate"]
+__all__ = ["Law", "Motion", "Obstacle", "Physics", "Unstable", "World", "about", "simulate"]
 
 FPS = 30.0
 SETTLE = 0.3  # the body lies in closed grips that long before frame 0 [s]
@@ -28,19 +28,28 @@ class Unstable(RuntimeError):
 
 
 @dataclass(frozen=True)
+class Obstacle:
+    """A sphere, an upright cylinder or a box around ``place`` (3,) [m], of radius and half sides ``size`` [m]."""
+
+    shape: str
+    place: tuple[float, float, float]
+    size: float
+
+
+@dataclass(frozen=True)
 class Physics:
     """What surrounds the body. laws: each is given the world once and then, in every step, time [s] from frame 0, positions and velocities
-    (V, 3), and returns forces (V, 3) [N] or None; it may also change the model. geoms: MJCF of obstacles."""
+    (V, 3), and returns forces (V, 3) [N] or None; it may also change the world. belt: velocity of the table's surface [m/s]."""
 
     gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
     laws: tuple[Law, ...] = ()
-    geoms: str = ""
-    table: str = ""
+    obstacles: tuple[Obstacle, ...] = ()
+    belt: tuple[float, float] = (0.0, 0.0)
 
     def joined(self, other: Physics) -> Physics:
         """The surroundings with both."""
         gravity = other.gravity if self.gravity == Physics.gravity else self.gravity
-        return Physics(gravity, self.laws + other.laws, self.geoms + other.geoms, self.table or other.table)
+        return Physics(gravity, self.laws + other.laws, self.obstacles + other.obstacles, self.belt if any(self.belt) else other.belt)
 
 
 @dataclass(frozen=True)
@@ -79,6 +88,8 @@ class World:
         self._grips(script)
         self.mujoco.mj_forward(self.model, self.data)
 
+    # --- what laws ask and do, of every engine ----------------------------------------------------------------------------------------
+
     @property
     def anchors(self) -> np.ndarray:
         """(G, 3) where the gripped vertices are held, in their hands' axes [m]; writable."""
@@ -93,6 +104,12 @@ class World:
 
     def velocities(self) -> np.ndarray:
         return self.data.qvel[self.dofs]
+
+    def rotation(self, hand: int) -> np.ndarray:
+        """(3, 3) the hand's axes in the room."""
+        rotation = np.empty(9)
+        self.mujoco.mju_quat2Mat(rotation, self.data.qpos[7 * hand + 3 : 7 * hand + 7])
+        return rotation.reshape(3, 3)
 
     def grip_force(self, hand: int) -> np.ndarray:
         """(3,) with which the body pulled at ``hand`` in the last step [N]."""
@@ -120,6 +137,57 @@ class World:
         if len(corners):
             total += np.bincount(corners.ravel(), np.repeat(normal[~single] / corners.shape[1], corners.shape[1]), len(total))
         return total
+
+    def strain(self, x: np.ndarray) -> np.ndarray:
+        """(E,) largest strains of the elements' edges, without sign."""
+        return np.abs(self.elements.elongation(x) / (2 * self.elements.rest)).max(axis=1)
+
+    def stiffen(self, factor) -> None:
+        """Elements (E,) or all are ``factor`` times as stiff as at rest from now on."""
+        self.elements.store(self.model, factor)
+
+    def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf) -> Step:
+        """A spring of ``ratio`` times the stiffness beside every element, in series with a damper (``tau`` [s]) or a slider that gives way
+        at the strain ``limit``: a step of a law.
+
+        The spring is given to MuJoCo; the elongation that it has forgotten pushes back.
+        """
+        elements = self.elements
+        elements.store(self.model, 1 + ratio)
+        forgotten, keep = np.zeros_like(elements.rest), np.exp(-self.dt / tau)
+
+        def step(time, x, v):
+            elongation = elements.elongation(x)
+            carried = (elongation - forgotten) * keep
+            most = 2 * limit * elements.rest
+            forgotten[:] = elongation - np.clip(carried, -most, most)
+            return -ratio * elements.force(x, forgotten)
+
+        return step
+
+    def cut(self, elements: np.ndarray) -> None:
+        """``elements`` carry nothing from now on."""
+        factor = np.ones(len(self.elements.matrix))
+        factor[elements] = 0
+        self.elements.store(self.model, factor)
+        if self.body.dim == 2:
+            edges = np.unique(self.model.flex_elemedge.reshape(len(self.body.elements), -1)[elements])
+            self.model.flex_bending.reshape(len(self.model.flex_edge), -1)[edges] = 0
+
+    def stick(self, extra: float, speed: float) -> Step:
+        """Friction that is higher at rest: on top of Coulomb's, ``extra`` exp(-(v / speed)^2) of the normal force, against v."""
+        mass = self.body.mass[:, None]
+
+        def step(time, x, v):
+            slide = v * [1, 1, 0]
+            fast = np.linalg.norm(slide, axis=1, keepdims=True)
+            most = extra * np.exp(-np.square(fast / speed)) * self.table_force()[:, None]
+            # No friction turns a velocity round within a step.
+            return -np.minimum(most / np.maximum(fast, 1e-12), 0.5 * mass / self.dt) * slide
+
+        return step
+
+    # --- how MuJoCo is told -----------------------------------------------------------------------------------------------------------
 
     def _material(self):
         body, model = self.body, self.model
@@ -189,6 +257,11 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     )
 
 
+def about() -> dict:
+    """What a label says of the engine."""
+    return {"mujoco": imported().__version__, "integrator": "discrete"}
+
+
 class _Clamps:
     """The hands also hold a rope's gripped segments against turning about themselves.
 
@@ -244,8 +317,8 @@ def _mjcf(body, points, gripped, physics, dt):
   <option timestep="{dt:.12g}" integrator="discrete" solver="CG" iterations="200" tolerance="1e-8"/>
   <size memory="64M"/>
   <worldbody>
-    <geom name="table" type="plane" size="3 3 0.1" friction="{SLIPPERY}" {physics.table}/>
-    {physics.geoms}
+    <geom name="table" type="plane" size="3 3 0.1" friction="{SLIPPERY}" surfacevel="{physics.belt[0]} {physics.belt[1]} 0 0 0 0"/>
+    {"".join(map(_geom, physics.obstacles))}
     {hands}
     <flexcomp name="body" type="direct" dim="{body.dim}" mass="{body.mass.sum():.12g}" radius="{body.radius}"
       point="{numbers(points)}" element="{numbers(body.elements)}">
@@ -257,6 +330,15 @@ def _mjcf(body, points, gripped, physics, dt):
   {_creases(body)}
   <equality>{grips}</equality>
 </mujoco>"""
+
+
+def _geom(obstacle):
+    sizes = {"sphere": 1, "cylinder": 2, "box": 3}[obstacle.shape]
+    stiff = 'solref="0.003 1" solimp="0.99 0.999 0.001"'
+    return (
+        f'<geom type="{obstacle.shape}" size="{numbers([obstacle.size] * sizes)}" pos="{numbers(obstacle.place)}" '
+        f'friction="{SLIPPERY}" {stiff}/>'
+    )
 
 
 def _creases(body):

@@ -1,4 +1,4 @@
-"""Forces on a body that MuJoCo does not know, computed from its state in every step.
+"""Laws that are added to an engine: forces computed from its state in every step, and changes to what it simulates.
 
 Each function takes the constants of a law and returns a ``Law`` of ``engine``: given the world, the law's step. Units are SI, z is up.
 """
@@ -43,16 +43,10 @@ def air(coefficient: float, wind=(0.0, 0.0, 0.0)) -> Law:
 
 
 def stiffens(factor: float) -> Law:
-    """Stress E e (1 + factor e^2) for the largest edge strain e of an element, with e of the step before."""
+    """Stress E e (1 + factor e^2) for the largest strain e of an element, with e of the step before."""
 
     def start(world):
-        elements = world.elements
-
-        def step(time, x, v):
-            strain = np.abs(elements.elongation(x) / (2 * elements.rest)).max(axis=1)
-            elements.store(world.model, 1 + factor * strain**2)
-
-        return step
+        return lambda time, x, v: world.stiffen(1 + factor * world.strain(x) ** 2)
 
     return start
 
@@ -61,33 +55,14 @@ def timed_stiffness(factor: float, begin: float, end: float) -> Law:
     """All stiffness goes from 1 to ``factor`` times its own between two times [s]."""
 
     def start(world):
-        def step(time, x, v):
-            world.elements.store(world.model, factor ** float(np.clip((time - begin) / (end - begin), 0, 1)))
-
-        return step
+        return lambda time, x, v: world.stiffen(factor ** float(np.clip((time - begin) / (end - begin), 0, 1)))
 
     return start
 
 
 def maxwell(ratio: float, tau: float) -> Law:
-    """A Maxwell branch beside every element: ``ratio`` times its stiffness, forgetting its stretch with time constant ``tau`` [s].
-
-    The branch's spring is given to MuJoCo; what it has forgotten, q' = (s - q) / tau, pushes back.
-    """
-
-    def start(world):
-        elements = world.elements
-        elements.store(world.model, 1 + ratio)
-        forgotten, keep = np.zeros_like(elements.rest), np.exp(-world.dt / tau)
-
-        def step(time, x, v):
-            elongation = elements.elongation(x)
-            forgotten[:] = elongation + (forgotten - elongation) * keep
-            return -ratio * elements.force(x, forgotten)
-
-        return step
-
-    return start
+    """A Maxwell branch beside every element: ``ratio`` times its stiffness, forgetting its stretch with time constant ``tau`` [s]."""
+    return lambda world: world.branch(ratio, tau=tau)
 
 
 def adhesion(pressure: float, reach: float) -> Law:
@@ -109,21 +84,8 @@ def adhesion(pressure: float, reach: float) -> Law:
 
 
 def stick(extra: float, speed: float) -> Law:
-    """Friction that is higher at rest (Stribeck): on top of Coulomb's, ``extra`` exp(-(v / speed)^2) of the normal force, against v."""
-
-    def start(world):
-        mass = world.body.mass[:, None]
-
-        def step(time, x, v):
-            slide = v * [1, 1, 0]
-            fast = np.linalg.norm(slide, axis=1, keepdims=True)
-            most = extra * np.exp(-np.square(fast / speed)) * world.table_force()[:, None]
-            # No friction turns a velocity round within a step.
-            return -np.minimum(most / np.maximum(fast, 1e-12), 0.5 * mass / world.dt) * slide
-
-        return step
-
-    return start
+    """Friction that is higher at rest (Stribeck): the coefficient grows by ``extra`` exp(-(v / speed)^2), the speed in m/s."""
+    return lambda world: world.stick(extra, speed)
 
 
 def tether(vertices: np.ndarray, anchor, stiffness: float, rest: float, path=None) -> Law:
@@ -160,9 +122,7 @@ def slip(threshold: float, rate: float, most: float, hand: int = 0) -> Law:
                 return
             world.events.setdefault("slip", time)
             way = min(rate * (size - threshold), 0.5) * world.dt  # at most half a metre a second
-            rotation = np.empty(9)
-            world.mujoco.mju_quat2Mat(rotation, world.data.qpos[7 * hand + 3 : 7 * hand + 7])
-            world.anchors[rows] += way * (rotation.reshape(3, 3).T @ (force / size))
+            world.anchors[rows] += way * (world.rotation(hand).T @ (force / size))
             gone[0] += way
 
         return step
@@ -174,18 +134,13 @@ def tear(elements: np.ndarray, at: float) -> Law:
     """``elements`` have no stiffness from the time ``at`` [s] on."""
 
     def start(world):
-        factor = np.ones(len(world.elements.matrix))
-        factor[elements] = 0
-        edges = np.unique(world.model.flex_elemedge.reshape(len(world.body.elements), -1)[elements])
         torn = []
 
         def step(time, x, v):
             if time >= at and not torn:
                 torn.append(time)
                 world.events["tear"] = time
-                world.elements.store(world.model, factor)
-                if world.body.dim == 2:
-                    world.model.flex_bending.reshape(len(world.model.flex_edge), -1)[edges] = 0
+                world.cut(elements)
 
         return step
 

@@ -1,0 +1,13 @@
+"""A second engine: finite elements and geometrically exact rods, implicit in time, that share nothing with the project's own physics.
+
+Cloths are neo-Hookean membranes with discrete-shell bending, stuffed bodies neo-Hookean tetrahedra, ropes Simo-Reissner rods.
+"""
+
+from .march import World, simulate
+
+__all__ = ["World", "about", "simulate"]
+
+
+def about() -> dict:
+    """What a label says of the engine."""
+    return {"finite": "neo-Hookean elements, shear-deformable rods", "integrator": "BDF2"}

@@ -1,0 +1,250 @@
+"""Implicit time stepping: second-order backward differences (BDF2), each step solved by Newton's method.
+
+With x* = (4 x_n - x_(n-1)) / 3, v* alike and h = 2/3 of the step: x = x* + h v, v = v* + h a, M a = forces at the step's end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...synthetic.simulate import GRAVITY
+from ..bodies import Body
+from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable
+from ..motions import Script
+from .banded import Banded
+from .contact import Contacts, gaps
+from .continuum import Continuum
+from .rods import Rod, turned
+from .shells import Creases
+
+__all__ = ["World", "simulate"]
+
+COARSER = 4  # times the step of an explicit or half implicit engine
+MOST = 12  # iterations in a step
+EXACT = 3e-6  # the last correction of a step is smaller [m]
+LONGEST = 0.02  # correction [m]
+
+
+class World:
+    """The running simulation, as laws see it: ``body``, its ``gripped`` vertices, ``start`` (V, 3), ``dt`` [s] and ``events``.
+
+    anchors  (G, 3) where the gripped vertices are held, in their hands' axes [m]; writable
+    rotations  (H, 3, 3) of the hands
+    """
+
+    def __init__(self, body: Body, script: Script, physics: Physics, steps: int):
+        self.body, self.dt, self.events = body, 1 / (FPS * steps), {}
+        self.start = body.vertices + [0, 0, body.radius]
+        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
+        self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
+        self.rotations = np.tile(np.eye(3), (len(self.gripped), 1, 1))
+        self.mass, self.gravity = body.mass.copy(), np.array(physics.gravity)
+        self.x, self.v = self.start.copy(), np.zeros_like(self.start)
+        self.old = (self.x, self.v)
+        self.reaction = np.zeros_like(self.x)
+        surfaces = [_table, *(gaps(o.shape, o.place, o.size) for o in physics.obstacles)]
+        belts = [(*physics.belt, 0.0), *[(0.0, 0.0, 0.0)] * len(physics.obstacles)]
+        self.contacts = Contacts(surfaces, belts, body.mass, body.friction, body.radius, GRAVITY)
+        self.rod = Rod(body, self.start) if body.dim == 1 else None
+        self.parts = [] if body.dim == 1 else [Continuum(body)] + ([Creases(body)] if body.dim == 2 else [])
+        self._number()
+
+    def _number(self):
+        count = len(self.x)
+        corners = 3 * np.arange(count)[:, None] + np.arange(3)
+        dofs = [corners[part.nodes].reshape(len(part.nodes), -1) for part in self.parts]
+        self.frames = self.rod.frames.copy() if self.rod else np.zeros((0, 3, 3))
+        self.spins, self.clamped = np.zeros((len(self.frames), 3)), []
+        free = np.ones(3 * (count + len(self.frames)), bool)
+        held = np.concatenate(self.gripped) if self.gripped else np.zeros(0, int)
+        self.held = np.zeros(count, bool)
+        self.held[held] = True
+        free[: 3 * count] = ~np.repeat(self.held, 3)
+        if self.rod:
+            dofs += list(self.rod.dofs)
+            for hand, vertices in enumerate(self.gripped):  # a hand holds the segments between its vertices against turning
+                segments = np.flatnonzero(np.isin(self.body.elements, vertices).all(axis=1))
+                free[(3 * count + 3 * segments[:, None] + np.arange(3)).ravel()] = False
+                self.clamped.append((hand, segments, self.frames[segments].copy()))
+        self.dofs = [*dofs, corners]
+        self.system = Banded(self.dofs, free)
+
+    # --- what laws ask and do ---------------------------------------------------------------------------------------------------------
+
+    def positions(self) -> np.ndarray:
+        return self.x
+
+    def velocities(self) -> np.ndarray:
+        return self.v
+
+    def set_mass(self, mass: np.ndarray) -> None:
+        """Masses (V,) [kg] of the vertices from now on."""
+        self.mass = np.array(mass, float)
+
+    def rotation(self, hand: int) -> np.ndarray:
+        """(3, 3) the hand's axes in the room."""
+        return self.rotations[hand]
+
+    def grip_force(self, hand: int) -> np.ndarray:
+        """(3,) with which the body pulled at ``hand`` in the last step [N]."""
+        return self.reaction[self.gripped[hand]].sum(axis=0)
+
+    def table_force(self) -> np.ndarray:
+        """(V,) normal forces of the table and of obstacles in the last step [N]."""
+        return self.contacts.normal
+
+    def strain(self, x: np.ndarray) -> np.ndarray:
+        """(E,) largest principal strains of the elements, without sign."""
+        return np.abs(np.linalg.eigvalsh(self.parts[0].strain(x))).max(axis=1)
+
+    def stiffen(self, factor) -> None:
+        """Elements (E,) or all are ``factor`` times as stiff as at rest from now on."""
+        own = 1.0 if self.body.stiffness is None else self.body.stiffness
+        self.parts[0].scale = np.broadcast_to(np.multiply(own, factor), (len(self.body.elements),)).copy()
+
+    def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf):
+        """A spring of ``ratio`` times the stiffness beside every element, in series with a damper or a slider."""
+        self.parts[0].branch(ratio, tau=tau, limit=limit)
+        return lambda time, x, v: None
+
+    def cut(self, elements: np.ndarray) -> None:
+        """``elements`` carry nothing from now on."""
+        self.parts[0].scale[elements] = 0
+        for creases in self.parts[1:]:
+            creases.scale[np.isin(creases.sides, elements).any(axis=1)] = 0
+
+    def stick(self, extra: float, speed: float):
+        """Friction that is higher at rest: the coefficient grows by ``extra`` exp(-(v / speed)^2)."""
+        self.contacts.extra, self.contacts.speed = extra, speed
+        return lambda time, x, v: None
+
+    # --- a step -----------------------------------------------------------------------------------------------------------------------
+
+    def step(self, targets: np.ndarray, external: np.ndarray) -> None:
+        """Advance by ``dt``: held vertices to ``targets`` (G, 3) [m], under ``external`` forces (V, 3) [N]."""
+        dt, h = self.dt, 2 * self.dt / 3
+        ahead, swing = (4 * self.x - self.old[0]) / 3, (4 * self.v - self.old[1]) / 3
+        before = self.x
+        x = self._begin(ahead + h * swing, targets)
+        frames = turned(self.frames, dt * self.spins)
+        for hand, segments, rest in self.clamped:
+            frames[segments] = self.rotations[hand] @ rest
+        count = x.size
+        inertia = self.mass[:, None] * (1 + h * self.body.drag) / h**2
+        diagonal = np.concatenate([np.broadcast_to(inertia, x.shape).ravel(), np.repeat(self._rotary() / dt**2, 3)])
+        for _ in range(MOST):
+            force, torque, blocks = self._forces(x, frames, before)
+            velocity = (x - ahead) / h
+            push = external + self.mass[:, None] * (self.gravity - self.body.drag * velocity - (velocity - swing) / h)
+            if self.rod:
+                torque = torque - self._rotary()[:, None] / dt * (_turn(self.frames, frames) / dt - self.spins)
+            right = np.concatenate([(force + push).ravel(), torque.ravel()])
+            try:
+                change = self.system.solve(blocks, diagonal, right)
+            except np.linalg.LinAlgError:  # compressed elements push the matrix out of what Newton's method can use
+                change = self.system.solve(self._forces(x, frames, before, firm=True)[2], diagonal, right)
+            move = change[:count].reshape(-1, 3)
+            size = np.abs(move).max()
+            move = move * min(1.0, LONGEST / max(size, 1e-12))
+            for _ in range(8):
+                if not self.parts or self.parts[0].sound(x + move):
+                    break
+                move = move / 2
+            x = x + move
+            if self.rod:
+                frames = turned(frames, np.clip(change[count:].reshape(-1, 3), -0.5, 0.5))
+            if size < EXACT:
+                break
+        self.reaction = np.where(self.held[:, None], force + push, 0)
+        self._commit(x, frames, (x - ahead) / h, before)
+
+    def _begin(self, guess, targets):
+        """Where Newton's method starts: as inertia has it, or as it was where that would turn elements inside out."""
+        guess[self.held] = self.x[self.held]
+        for g, t in zip(np.concatenate(self.gripped) if self.gripped else [], targets, strict=True):
+            guess[g] = t
+        if self.parts and not self.parts[0].sound(guess):
+            still = np.where(self.held[:, None], guess, self.x)
+            return still
+        return guess
+
+    def _rotary(self):
+        return self.rod.inertia if self.rod else np.zeros(0)
+
+    def _forces(self, x, frames, before, *, firm=False):
+        """Inner and contact forces (V, 3), torques (S, 3), and all stiffness blocks in the order of ``dofs``."""
+        total, blocks = np.zeros(x.size + 3 * len(frames)), []
+        given = [part.evaluate(x, self.dt, firm=firm) for part in self.parts]
+        if self.rod:
+            given += zip(*self.rod.evaluate(x, frames, self.dt), strict=True)
+        given.append(self.contacts.evaluate(x, before, self.dt))
+        for dofs, (force, block) in zip(self.dofs, given, strict=True):
+            total += np.bincount(dofs.ravel(), force.ravel(), len(total))
+            blocks.append(block)
+        return total[: x.size].reshape(-1, 3), total[x.size :].reshape(-1, 3), blocks
+
+    def _commit(self, x, frames, v, before):
+        for part in self.parts:
+            part.commit(x, self.dt)
+        if self.rod:
+            self.rod.commit(x, frames)
+            self.spins = _turn(self.frames, frames) / self.dt
+            self.frames = frames
+        self.contacts.commit(x, before, self.dt)
+        self.old, self.x, self.v = (self.x, self.v), x, v
+
+
+def simulate(body: Body, script: Script, physics: Physics | None = None, *, substeps: int = 32, settle: float = SETTLE) -> Motion:
+    """``script.frames`` frames of ``body`` with a quarter of ``substeps`` steps each, after ``settle`` seconds in closed grips.
+
+    Raises Unstable where the solution blows up or what is asked for cannot be solved.
+    """
+    world = World(body, script, physics or Physics(), max(substeps // COARSER, 1))
+    steps = (script.frames - 1) * (per := max(substeps // COARSER, 1))
+    settle = round(settle / world.dt)
+    paths = [hand.path((np.arange(-settle, steps + 2)) * world.dt) for hand in script.hands]
+    laws = [law(world) for law in (physics or Physics()).laws]
+    firsts = np.cumsum([0, *map(len, world.gripped)])
+    frames = []
+    for step in range(settle + steps + 1):
+        if step >= settle and (step - settle) % per == 0:
+            frames.append(world.x)
+        if not np.abs(world.v).max() < FASTEST:
+            raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: it blew up")
+        time = (step - settle) * world.dt
+        world.rotations = np.array([turns[step] for _, turns in paths]).reshape(-1, 3, 3)
+        ahead = world.x + world.dt * world.v
+        external = sum((f for law in laws if (f := law(time, ahead, world.v)) is not None), np.zeros_like(world.x))
+        world.rotations = np.array([turns[step + 1] for _, turns in paths]).reshape(-1, 3, 3)
+        held = [
+            origin + moves[step + 1] + world.anchors[a:b] @ turn.T
+            for origin, (moves, _), turn, a, b in zip(world.origins, paths, world.rotations, firsts, firsts[1:], strict=False)
+        ]
+        try:
+            world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
+        except (np.linalg.LinAlgError, FloatingPointError, ValueError) as reason:
+            raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: {reason}") from None
+    sampled = settle + np.arange(script.frames) * per
+    return Motion(
+        np.array(frames),
+        np.array([origin + moves[sampled] for origin, (moves, _) in zip(world.origins, paths, strict=True)]),
+        np.array([turns[sampled] for _, turns in paths]),
+        world.gripped,
+        {name: round(time * FPS) for name, time in world.events.items()},
+    )
+
+
+def _table(x):
+    return x[:, 2], np.broadcast_to([0, 0, 1.0], x.shape)
+
+
+def _turn(before, after):
+    """(S, 3) rotation vectors from frames to frames, in the former's axes."""
+    relative = np.swapaxes(before, 1, 2) @ after
+    vector = np.stack(
+        [relative[:, 2, 1] - relative[:, 1, 2], relative[:, 0, 2] - relative[:, 2, 0], relative[:, 1, 0] - relative[:, 0, 1]], 1
+    )
+    sine = np.linalg.norm(vector, axis=1) / 2
+    angle = np.arctan2(sine, (np.trace(relative, axis1=1, axis2=2) - 1) / 2)
+    return vector / 2 * (angle / np.maximum(sine, 1e-12))[:, None]
