@@ -10,6 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.base import Budget, Diverged
@@ -17,7 +18,7 @@ from twinbench.methods.phystwin import METHODS, PhysTwin, body, first_order, tra
 from twinbench.methods.phystwin.body import Place, build, regrip, roll, system, time_step
 from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, SEARCHED, Config, Quirks, ranges
 from twinbench.methods.phystwin.first_order import refine
-from twinbench.methods.phystwin.losses import FitLoss
+from twinbench.methods.phystwin.losses import FitLoss, nearest_particles
 from twinbench.methods.phystwin.twin import PhysTwinTwin
 from twinbench.methods.phystwin.zero_order import costs, open_loop_costs, search
 
@@ -131,6 +132,15 @@ def test_nobody_seen_costs_nothing():
     none = np.zeros((2, 5), bool)
     observed = Observed(name="made", points=np.zeros((2, 5, 3)), visible=none, motion_valid=none, controllers=np.zeros((2, 0, 3)))
     assert FitLoss(observed, frame_one_counts=False)(torch.ones(1, 5, 3), 1).item() == 0
+
+
+def test_both_searches_for_the_nearest_particle_agree_with_a_tree():
+    """The one of the GPU and the one of the CPU against scipy's k-d tree; in double precision there are no ties among random points."""
+    random = np.random.default_rng(5)
+    goal, particles = random.normal(size=(3, 40, 3)), random.normal(size=(3, 70, 3))
+    want = np.stack([cKDTree(p).query(g)[1] for g, p in zip(goal, particles, strict=True)])
+    for plain in (False, True):
+        assert np.array_equal(nearest_particles(torch.tensor(goal), torch.tensor(particles), plain=plain).numpy(), want)
 
 
 def test_the_nearest_particle_is_exact_a_metre_from_the_origin():

@@ -16,7 +16,7 @@ from twinbench.datasets.synthetic.hand import Hand
 from twinbench.datasets.synthetic.interactions import DRAG, LIFT, Interaction
 from twinbench.datasets.synthetic.objects import Plush
 from twinbench.datasets.synthetic.render import finer, look_at, normals, rasterise
-from twinbench.datasets.synthetic.sensor import Sensor
+from twinbench.datasets.synthetic.sensor import Scene, Sensor
 from twinbench.datasets.synthetic.simulate import GRAVITY, simulate, to_world
 
 SAMPLE = Path(__file__).resolve().parents[1] / "datasets" / "sample"
@@ -207,6 +207,23 @@ def test_images_agree_with_the_truth(drag):
             tolerance = 1.5 * (5 * 0.0005 + 0.0005)
             assert np.abs(world[kind == 0, 2]).max() < tolerance  # the table
             assert _distance(world[kind == 1], vertices[t], body.faces).max() < tolerance
+
+
+def test_oversampling_is_of_colour_alone():
+    """A pixel's colour is the mean of what a camera with three times the pixels sees there; depth and masks are those of its centre."""
+    body = Plush()
+    scene = Scene(to_world(body.vertices), body.faces, len(body.faces), body.vertices, body.albedo, Hand().skin)
+    once, often = Sensor(oversample=1), Sensor(oversample=3)
+    fine = Sensor(width=3 * 54, height=3 * 40, focal=3 * 67.0, principal=(3 * 0.8, 3 * -0.6), oversample=1)
+    taken = [sensor.take(sensor.cameras()[0], scene, np.zeros((sensor.height, sensor.width))) for sensor in (once, often, fine)]
+    means = taken[2].color.reshape(40, 3, 54, 3, 3).mean(axis=(1, 3))
+    assert np.abs(taken[1].color - means).max() <= 1.0  # both are rounded
+    assert np.abs(taken[0].color - means).max() > 10  # one sample is not the mean
+    for kind in ("depth", "mask", "hand"):
+        assert np.array_equal(getattr(taken[0], kind), getattr(taken[1], kind))
+    assert taken[0].mask.sum() > 50
+    with pytest.raises(ValueError, match="oversample must be odd and >= 1, got 2"):
+        Sensor(oversample=2)
 
 
 def test_visible_points_are_those_with_a_clear_line_of_sight(drag):
