@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -44,6 +44,7 @@ class Size:
 PUBLISHED = Size()
 SMALL = Size(54, 40, 12, 0.012, "quick", {"iterations": 1, "population": 3, "epochs": 1}, 4)
 FOCAL = 67 / 40  # of the sample's cameras, in heights of the image
+PARTS = ("twin", "network", "look")
 GOALS = {"zero-order stage": 60.0, "first-order stage": 120.0, "images": 10.0}  # s
 
 
@@ -120,29 +121,37 @@ class _Clock:
 
             torch.cuda.synchronize()
         self.steps.append(Step(name, seconds, peak_memory()["peak_device_memory_mib"], note))
-        print(f"{name}: {seconds:.2f} s {note}", flush=True)
+        print(f"{name}: {seconds:.2f} s, {self.steps[-1].card / 1024:.2f} GiB; {note}", flush=True)
 
 
-def measure(size: Size, device: str, method: str) -> list[Step]:
-    """Fit and roll out, train GS-Dynamics for a while, then dress, draw and score the roll-out."""
+def measure(size: Size, device: str, method: str, parts: Sequence[str] = PARTS) -> list[Step]:
+    """Fit and roll out, train GS-Dynamics for a while, then dress, draw and score the roll-out, or some of these ``PARTS``.
+
+    Where no twin is fitted, the roll-out that is dressed is that of a rigid body.
+    """
     clock = _Clock(device)
     scenario = clock(
         "recording (made, not part of any method)",
         lambda: recorded(size),
         lambda made: f"{made.frame_count} frames, {len(made.cameras)} views of {size.width} x {size.height}, {sum(made.counts)} particles",
     )
-    twin = _twin(clock, scenario, size, device, method)
+    if "network" in parts:
+        _graph_network(clock, scenario, size, device)
+    twin = _twin(clock, scenario, size, device, method if "twin" in parts else "rigid")
     trajectory = clock("roll-out of all frames", lambda: twin.rollout(scenario.controllers))
-    _graph_network(clock, scenario, size, device)
-    _look(clock, scenario, trajectory, size, device)
+    if "look" in parts:
+        _look(clock, scenario, trajectory, size, device)
     return clock.steps
 
 
 def _twin(clock, scenario, size, device, name):
+    from ..methods.base import Budget
     from ..methods.phystwin.config import SEARCHED
     from ..methods.registry import get_method
 
     method, observed = get_method(name), scenario.observed()
+    if name == "rigid":
+        return method.fit([observed], budget=Budget(size.preset))
     config = replace(method.config(size.preset, observed), **size.limits)
     once = replace(config, iterations=1, epochs=1, frames=3)
     clock("kernels (compiled once on a machine)", lambda: method.fitted(method.recordings([observed], once), once, seed=0, device=device))
@@ -233,10 +242,13 @@ def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--small", action="store_true", help="a small recording and few steps, on the CPU")
     parser.add_argument("--method", default="phystwin-as-published", choices=("phystwin-as-published", "phystwin"))
+    parser.add_argument(
+        "--only", nargs="+", default=PARTS, choices=PARTS, help="fit the twin; train GS-Dynamics; appearance, images, metrics"
+    )
     options = parser.parse_args(arguments)
     device = "cpu" if options.small else "cuda"
     about = provenance(device)
-    steps = measure(SMALL if options.small else PUBLISHED, device, options.method)
+    steps = measure(SMALL if options.small else PUBLISHED, device, options.method, options.only)
     print(f"\n{options.method}, {about['device']}, torch {about['torch']}, warp {about['warp']}, commit {about['commit']}\n")
     print(table(steps))
 
