@@ -249,7 +249,8 @@ def main(arguments=None) -> None:
     device = "cpu" if options.small else "cuda"
     about = provenance(device)
     steps = measure(SMALL if options.small else PUBLISHED, device, options.method, options.only)
-    print(f"\n{options.method}, {about['device']}, torch {about['torch']}, warp {about['warp']}, commit {about['commit']}\n")
+    fitted = options.method if "twin" in options.only else "rigid"
+    print(f"\n{fitted}, {about['device']}, torch {about['torch']}, warp {about['warp']}, commit {about['commit']}\n")
     print(table(steps))
 
 
