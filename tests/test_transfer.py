@@ -1,5 +1,6 @@
 """A PhysTwin body in another recording: where it lies, what is reset, what the hands hold, and what nobody may look at."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -166,6 +167,15 @@ def test_as_published_the_name_says_how_a_body_is_registered(source, monkeypatch
         monkeypatch.setattr(transfer, step, lambda lying, *a, step=step, **k: called.append(step) or lying)
     twin_of(replace(source, name=name), AS_PUBLISHED).retarget(frame_0(recording("target", 1)))
     assert called == [("colored" if by_color else "point_to_point"), *([] if cloth else ["bend_once"])]
+
+
+def test_without_open3d_only_what_is_matched_by_its_colours_as_published_is_refused(source, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    target = frame_0(recording("target", 1))
+    for quirks, name in ((CORRECTED, "double_lift_zebra"), (AS_PUBLISHED, "rope"), (AS_PUBLISHED, "single_lift_cloth_1")):
+        assert np.isfinite(twin_of(replace(source, name=name), quirks).retarget(target).place.structure).all()
+    with pytest.raises(ImportError, match=r"coloured registration needs open3d.*pip install open3d.*apt-get install libusb-1.0-0"):
+        twin_of(replace(source, name="double_lift_zebra"), AS_PUBLISHED).retarget(target)
 
 
 # ---------------------------------------------------------------- what the hands hold
