@@ -32,7 +32,9 @@ class GSDynamics(Method):
       but its last. In a roll-out they are drawn from the tracked points, as in training; surface and interior points are only carried.
     - Axes: z is up, from the ground's normal or else gravity, and 0 on the ground, so that recordings with other axes can be joined.
     - Length term: edges within the body alone, weight 0.1 (published for ropes and cloths); nodes 3 cm, adjacency 8 cm, 6 neighbours.
-    - Transfer: the network as it is, on the target's own particles; nothing is registered.
+    - Transfer: the network as it is, on the target's own particles; nothing is registered. It knows the motions that it was shown and no
+      others: on the sample, trained on the drag, it follows a drag to 10 mm, and leaves a body that is lifted by 25 cm on the table (mean
+      Chamfer 167 mm, standing still 148); trained on the lift, it lets a dragged one sink up to 5 cm into the table (58, still 53).
     - Several recordings: a window is as likely to be drawn as any other, so longer recordings count more. Point counts may differ.
     """
 
