@@ -440,6 +440,7 @@ def test_drifting_tracks_slide_and_others_stay(lifted):
     assert off[0].max() == 0
     slid = off.max(axis=0) > 1e-3
     assert 0.1 < slid.mean() < 0.5 and off.max() < 0.035
+    np.testing.assert_array_equal(wrong.controllers, true.controllers)
 
 
 # --- the effects and the cases --------------------------------------------------------------------------------------------------------

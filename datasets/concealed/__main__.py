@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
 from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
 
-from ..phystwin import write_case
 from .case import CLEAR, CONTROLS, build
 from .effects import EFFECTS, OUTSIDE
+from .engines import ENGINES
+from .make import write_pair
 
 LABELS = "labels.json"
 
@@ -37,16 +36,12 @@ def plan(
     return [chosen[i] for i in rng.permutation(len(chosen))]
 
 
-def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, clear: tuple[float, float]) -> dict:
+def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, clear: tuple[float, float], engine: str) -> dict:
     """Build and write one case; its label."""
     begun = time.time()
     folder = out / f"case_{index:03d}"
-    case = build(kind, name, body, seed=int(np.random.default_rng([seed, 1, index]).integers(2**31)), clear=clear)
-    for part in ("fit", "transfer"):
-        about = {"object": f"object_{index:03d}", "session": f"{folder.name}_{part}"}
-        write_case(folder / part, replace(getattr(case, part), **about), overwrite=True)
-    for path in [*folder.rglob("*"), folder]:  # when something was written says how long it took, so nothing may
-        os.utime(path, (1e9, 1e9))
+    case = build(kind, name, body, seed=int(np.random.default_rng([seed, 1, index]).integers(2**31)), clear=clear, engine=engine)
+    write_pair(case, folder, index)
     return case.label | {"seconds": round(time.time() - begun, 1)}
 
 
@@ -61,6 +56,7 @@ def main(arguments=None) -> None:
     parser.add_argument("--bodies", nargs="+", choices=("cloth", "plush", "rope"), default=("cloth", "plush", "rope"))
     parser.add_argument("--only", nargs="+", choices=tuple(EFFECTS), help="effects to choose from")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
+    parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     cases = plan(options.seed, options.effects, options.controls, options.outside, bodies=options.bodies, only=options.only)
@@ -69,7 +65,9 @@ def main(arguments=None) -> None:
     wanted = {f"case_{i:03d}": (i, *case) for i, case in enumerate(cases)}
     todo = {name: case for name, case in wanted.items() if name not in labels or not (options.out / name / "transfer").is_dir()}
     with ProcessPoolExecutor(options.jobs) as pool:
-        running = {pool.submit(make, options.out, *case, options.seed, tuple(options.clear)): name for name, case in todo.items()}
+        running = {
+            pool.submit(make, options.out, *case, options.seed, tuple(options.clear), options.engine): name for name, case in todo.items()
+        }
         for done, future in enumerate(as_completed(running), 1):
             name = running[future]
             try:

@@ -238,6 +238,7 @@ def _slid(points, tracked, faults, rng):
     truth = points[:, tracked].copy()
     if not faults.drift_share:
         return truth
+    (rng,) = rng.spawn(1)  # what is drawn afterwards is the same with and without this fault
     share = np.linspace(0, 1, len(points))[:, None] ** 1.2
     for track in np.flatnonzero(rng.random(len(tracked)) < faults.drift_share):
         distance = np.linalg.norm(points[0] - points[0, tracked[track]], axis=1)

@@ -1,0 +1,122 @@
+"""Which cases a sealed set has: what is concealed, in which body, how large, and by which engine it is simulated."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count, islice
+
+import numpy as np
+
+from .bodies import BODIES
+from .case import CLEAR, CONTROLS
+from .effects import EFFECTS, OUTSIDE
+
+__all__ = ["FLOOR", "PAIRS", "PRESETS", "Entry", "Preset", "entropy", "plan"]
+
+FLOOR = 0.0075  # m RMS, what a coarse twin of a sound body is off by: sizes are told in multiples of it
+WIDTH = 1.25  # factor by which an effect may be smaller or larger than is asked
+
+# Two effects of different places in the physics, so that one does not change the law of the other.
+PAIRS = (
+    *(("wind", "added_mass"), ("gravity_tilt", "bending"), ("quadratic_drag", "controller_delay"), ("viscoelastic", "grip_slip")),
+    *(("hidden_tether", "wind"), ("friction_law", "controller_delay"), ("anisotropy", "grip_points"), ("bending", "quadratic_drag")),
+    *(("plasticity", "added_mass"), ("strain_stiffening", "camera_pose"), ("ground_adhesion", "bending"), ("gravity_tilt", "track_drift")),
+)
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How many: ``controls``; cases of every effect, one for each of ``levels``, its size over ``FLOOR``; of ``effects`` effects, all where
+    that is None; cases with what no catalogue lists (``outside``), and with two effects (``pairs``).
+    """
+
+    controls: int
+    levels: tuple[float, ...]
+    outside: int
+    pairs: int
+    effects: int | None = None
+
+
+PRESETS = {
+    "quick": Preset(controls=6, levels=(2.0,), outside=2, pairs=2, effects=8),
+    "full": Preset(controls=66, levels=(0.5, 1.0, 2.0, 2.0, 4.0, 8.0), outside=24, pairs=24),
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One case: ``kind``, ``name`` and ``body`` as ``build`` takes them, and the ``engine`` that simulates it.
+
+    clear  how far the points may be moved [m RMS]
+    like   the effect in whose interactions a control is filmed
+    level  size over ``FLOOR``, where one is asked
+    """
+
+    kind: str
+    name: str
+    body: str
+    engine: str
+    clear: tuple[float, float] = CLEAR
+    like: str = ""
+    level: float | None = None
+
+
+def entropy(seed: str) -> int:
+    """The number that a seed stands for."""
+    return int.from_bytes(hashlib.sha256(seed.encode()).digest(), "big")
+
+
+def plan(preset: str | Preset, seed: str, *, engines: Sequence[str]) -> list[Entry]:
+    """The cases, in an order that says nothing. All names come in turn, on all their bodies in turn, as many from each of the ``engines``.
+
+    A control has the body, the engine and the interactions of some case that is none: what is there and what hands do then tells nothing.
+    Raises ValueError for an unknown preset or where there is no engine.
+    """
+    if isinstance(preset, str) and preset not in PRESETS:
+        raise ValueError(f"unknown preset {preset!r}; known: {', '.join(PRESETS)}")
+    if not engines:
+        raise ValueError("a plan needs at least one engine")
+    preset = PRESETS[preset] if isinstance(preset, str) else preset
+    rng = np.random.default_rng([entropy(seed), 0])
+    names = [str(n) for n in rng.permutation(sorted(EFFECTS))][: preset.effects]
+    wanted = [("effect", n, EFFECTS[n].bodies, level) for n in names for level in preset.levels]
+    wanted += [("outside", n, OUTSIDE[n].bodies, None) for n in _turns(rng, sorted(OUTSIDE), preset.outside)]
+    wanted += [("pair", "+".join(p), _shared(p), None) for p in _turns(rng, PAIRS, preset.pairs)]
+    first = {name: int(rng.integers(len(BODIES))) for name in sorted({w[1] for w in wanted})}
+    turn, cases = Counter(), []
+    for (kind, name, able, level), engine in zip(wanted, _spread(rng, engines, len(wanted)), strict=True):
+        body = able[(first[name] + turn[name]) % len(able)]
+        turn[name] += 1
+        cases.append(Entry(kind, name, body, engine, _band(kind, name, level), level=level))
+    others = [c for c in cases if c.kind != "pair"]
+    filmed = [others[k] for k in rng.permutation(len(others))]
+    for k, name in enumerate(_turns(rng, CONTROLS, preset.controls)):
+        one = filmed[k % len(filmed)]
+        cases.append(Entry("control", name, one.body, one.engine, like=one.name))
+    return [cases[i] for i in rng.permutation(len(cases))]
+
+
+def _turns(rng, names, wanted):
+    """``wanted`` of ``names``, all in turn from a random one on."""
+    first = int(rng.integers(len(names)))
+    return islice((names[(first + k) % len(names)] for k in count()), wanted)
+
+
+def _spread(rng, engines, wanted):
+    """As many of each engine, in an order of chance, so that an engine does not go with a size or a body."""
+    return [engines[k % len(engines)] for k in rng.permutation(wanted)]
+
+
+def _shared(pair):
+    """Bodies that can show both."""
+    return tuple(body for body in EFFECTS[pair[0]].bodies if body in EFFECTS[pair[1]].bodies)
+
+
+def _band(kind, name, level):
+    """Within which the effect must move the points [m RMS]: around its level where its size can be chosen, else clearly."""
+    if kind != "effect" or level is None or not EFFECTS[name].sized:
+        return CLEAR
+    return FLOOR * level / WIDTH, FLOOR * level * WIDTH / EFFECTS[name].most  # ``build`` multiplies the upper bound by ``most``
