@@ -2,10 +2,14 @@
 
 import hashlib
 import json
+import os
+import pickle
 
 import numpy as np
 import pytest
+from twinbench.datasets import safe_pickle
 from twinbench.datasets.concealed import make as making
+from twinbench.datasets.concealed.audit import audit, outside_of
 from twinbench.datasets.concealed.case import CONTROLS, Case
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
 from twinbench.datasets.concealed.engines import ENGINES
@@ -222,3 +226,51 @@ def test_what_cannot_be_drawn_in_one_body_is_drawn_in_another(tmp_path, monkeypa
 
 
 # --- no trace of the label ------------------------------------------------------------------------------------------------------------
+
+
+def told(folder):
+    return {
+        f.name: json.loads((folder.kept / f"{f.name}.json").read_text())["label"]["kind"] == "control"
+        for f in sorted(folder.cases.iterdir())
+    }
+
+
+MANY = Preset(controls=12, levels=(1.0,), outside=4, pairs=0, effects=8)
+
+
+def test_names_sizes_types_and_times_do_not_tell_controls(tmp_path):
+    make(tmp_path, preset=MANY, seed="z", engines=("mujoco",))
+    folder = Folder(tmp_path)
+    cases = {f.name: f for f in folder.cases.iterdir()}
+    found = audit(cases, told(folder))
+    assert found.p > 0.05  # of a fixed seed: it is this or not, and stays
+    assert {tuple(sorted(k for k in outside_of(c) if " is " in k)) for c in cases.values()} == {
+        tuple(sorted(k for k in outside_of(next(iter(cases.values()))) if " is " in k))
+    }  # the same files, with arrays of the same types
+    assert {v for c in cases.values() for k, v in outside_of(c).items() if k.endswith(" time")} == {making.WHEN}
+
+
+@pytest.mark.parametrize("leak", ["size", "time", "type", "name"])
+def test_the_classifier_finds_a_leak(tmp_path, leak):
+    make(tmp_path, preset=MANY, seed="z", engines=("mujoco",))
+    folder = Folder(tmp_path)
+    for name, sound in told(folder).items():
+        file = folder.cases / name / "fit" / "final_data.pkl"
+        if sound:
+            continue
+        if leak == "size":
+            file.write_bytes(file.read_bytes() + bytes(200 + int(name[-3:])))
+        elif leak == "time":
+            os.utime(file, (1e9 + 5, 1e9 + 5))
+        elif leak == "name":
+            (file.parent / "notes.txt").write_text("")
+        else:
+            held = safe_pickle.load(file)
+            file.write_bytes(pickle.dumps(held | {"object_points": held["object_points"].astype(np.float32)}, protocol=4))
+    found = audit({f.name: f for f in folder.cases.iterdir()}, told(folder))
+    assert found.auc > 0.8 and found.p < 0.01
+
+
+def test_an_audit_of_one_kind_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="cases of both kinds"):
+        audit({"a": tmp_path}, {"a": True})
