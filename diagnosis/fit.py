@@ -15,7 +15,7 @@ import numpy as np
 from .model import Knob, Model, Simulator
 from .replica import Replica
 
-__all__ = ["Fit", "Frames", "Task", "fit", "gaps", "jacobian", "mean_error", "turned", "weights_of"]
+__all__ = ["Fit", "Frames", "Task", "fit", "gaps", "jacobian", "mean_error", "remoteness", "turned", "weights_of"]
 
 INDEPENDENT = 100.0  # data that a recording is worth: tracks move together, so far fewer than its coordinates
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # Levenberg-Marquardt dampings tried side by side
@@ -179,7 +179,7 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         normal = slopes.T @ weighted
         prior = 1 / wide**2 / (INDEPENDENT + float((z / wide) @ (z / wide)))
         gradient = -(weighted.T @ residual) - prior * z
-        objective = by_frame.misfit(tame * residual) + _remoteness(z / wide)
+        objective = by_frame.misfit(tame * residual) + remoteness(z / wide)
         trials = []
         for factor in DAMPINGS:
             matrix = normal + np.diag(prior) + damping * factor * np.diag(np.diag(normal) + 1e-12)
@@ -188,7 +188,7 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         steps = [max(a) for a in zip(*(task.substeps(model, t) for t in trials), strict=True)]
         found = task.residuals(task.predict(model, trials, steps))
         costs = [
-            by_frame.misfit(np.sqrt(by_frame.huber(r, residual)) * r) + _remoteness(t / wide) if np.isfinite(r).all() else np.inf
+            by_frame.misfit(np.sqrt(by_frame.huber(r, residual)) * r) + remoteness(t / wide) if np.isfinite(r).all() else np.inf
             for r, t in zip(found, trials, strict=True)
         ]
         best = int(np.argmin(costs))
@@ -229,7 +229,7 @@ def jacobian(task: Task, model: Model, z, residual, substeps):
     return slopes, ok
 
 
-def _remoteness(z) -> float:
+def remoteness(z) -> float:
     """How unlikely knobs at ``z`` (K,) priors from their starts are: normal near them, with the heavy tail of a multivariate t."""
     return float(np.log1p(z @ z / INDEPENDENT))
 

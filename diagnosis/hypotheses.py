@@ -15,6 +15,7 @@ from ..physics.terms.base import Term
 from .locate import peaks
 from .model import Knob, Simulator
 from .replica import spread_out
+from .sightings import where_unseen
 
 __all__ = ["Hypothesis", "catalogue", "hypotheses_for"]
 
@@ -22,6 +23,7 @@ PEAKS, SPREAD = 4, 4  # places tried: where the observer pushes most, and evenly
 LIMP = 0.1  # share of a body's extent that stands out by itself where bending is noticeable
 PART = 0.25  # of a body's extent: what reaches farther is no part of it
 ANY = 10.0  # noticeable sizes: an effect may be as large
+KNOWN = 0.02  # of that, where only a small error can be
 FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
 STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
 
@@ -60,9 +62,9 @@ class Hypothesis:
             if p.scale == "log":
                 high = min(p.high, self.widest) if name == effect.within else p.high
                 knobs.append(Knob(name, self.values[name], 0.7, p.low, high, log=True, step=0.1))
-        for axis in "xyz" if effect.place else "":
-            p = known[f"{effect.place}_{axis}"]
-            knobs.append(Knob(p.name, self.values[p.name], 2 * spacing, p.low, p.high, step=0.15))
+        for name in (f"{prefix}_{axis}" for prefix in (effect.place, f"{effect.place}_anchor") for axis in "xyz"):
+            if name in known:
+                knobs.append(Knob(name, self.values[name], 2 * spacing, known[name].low, known[name].high, step=0.15))
         return tuple(knobs)
 
 
@@ -82,7 +84,10 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
             continue
         effect, known = term.effect, {p.name: p for p in term.parameters}
         size = max(abs(effect.typical[a]) for a in effect.amplitudes) if term.stage != "hinge" else _rigidity(simulator.replica, term)
-        knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=ANY) for a in effect.amplitudes)
+        knobs = tuple(
+            Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=ANY * _doubtful(term, a, simulator.replica.recording))
+            for a in effect.amplitudes
+        )
         widest = PART * float(np.linalg.norm(np.ptp(simulator.replica.nodes, axis=0)))
         shapes = {n: sorted({min(v, widest) for v in of}) if n == effect.within else of for n, of in effect.shapes.items()}
         for shape in product(*shapes.values()):
@@ -103,6 +108,14 @@ def _rigidity(replica, term) -> float:
     return size * float(np.sqrt(length / gravity)) if term.name == "bending_damping" else size
 
 
+def _doubtful(term, amplitude, recording):
+    """How far in doubt an amplitude is: gravity may point elsewhere than is said, its size is known."""
+    if term.name != "gravity_tilt" or not np.any(recording.gravity):
+        return 1.0
+    along = abs(recording.gravity["xyz".index(amplitude[-1])]) / np.linalg.norm(recording.gravity)
+    return max(KNOWN, 1 - along)
+
+
 def _applies(term, simulator):
     """Whether the recording has what the term is about."""
     recording = simulator.replica.recording
@@ -121,14 +134,16 @@ def _places(term, simulator, predicted, push, shape):
     named = [p.name for p in term.parameters]
     nodes = peaks(replica, push, PEAKS)
     if term.name == "hidden_obstacle":
-        return [_named(effect.place, centre) for centre in _obstacle_centres(replica, predicted, push, nodes, shape["obstacle_radius"])]
+        return [_named(effect.place, centre) for centre in _obstacle_centres(replica, push, shape["obstacle_radius"])]
     even = spread_out(replica.nodes, SPREAD, nodes[:1])[1:] if len(nodes) else spread_out(replica.nodes, SPREAD)
     places = []
     for node in [*nodes, *even]:
         values = _named(effect.place, replica.nodes[node])
-        if f"{effect.place}_anchor_x" in named:
-            values |= _named(f"{effect.place}_anchor", _anchor(replica, predicted, push, node, shape[effect.within]))
-        places.append(values)
+        if f"{effect.place}_anchor_x" in named:  # tied where its pull points to, or where it lay
+            anchor = _anchor(replica, predicted, push, node, shape[effect.within])
+            places += [values | _named(f"{effect.place}_anchor", a) for a in (anchor, replica.nodes[node])]
+        else:
+            places.append(values)
     return places
 
 
@@ -154,15 +169,20 @@ def _anchor(replica, predicted, push, node, reach):
     return anchor if np.linalg.norm(anchor - home) < 1.0 else home
 
 
-def _obstacle_centres(replica, predicted, push, nodes, radius):
-    """Behind the nodes that were pushed most, at the moment of their strongest push."""
+def _obstacle_centres(replica, push, radius):
+    """Behind where the body was pushed hardest: the strongest moments (node and frame), pooled with their neighbours, well apart."""
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(replica.nodes).query(replica.nodes, k=min(7, len(replica.nodes)))[1].reshape(len(replica.nodes), -1)
+    with where_unseen():
+        pooled = np.nanmean(push[:, near], axis=2)  # (F, n, 3)
+    strength = np.where(np.isfinite(pooled[..., 0]), np.linalg.norm(pooled, axis=-1), -np.inf)
     centres = []
-    for node in nodes:
-        size = np.linalg.norm(push[:, node], axis=-1)
-        if not np.isfinite(size).any():
-            continue
-        frame = int(np.nanargmax(size))
-        direction = push[frame, node] / max(size[frame], 1e-9)
-        seen = replica.sightings.position[frame, node]
-        centres.append(seen - direction * radius)
+    for cell in np.argsort(-strength, axis=None):
+        frame, node = np.unravel_index(cell, strength.shape)
+        if not strength[frame, node] > 0 or len(centres) == PEAKS:
+            break
+        at = replica.sightings.position[frame, node] - pooled[frame, node] / strength[frame, node] * radius
+        if np.isfinite(at).all() and all(np.linalg.norm(at - other) > max(radius, 2 * replica.spacing) for other in centres):
+            centres.append(at)
     return centres

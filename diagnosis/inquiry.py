@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -14,14 +15,16 @@ from .fit import FINEST, Fit, Task
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
 from .model import Knob, Model, Simulator
-from .refit import Verdictable, evaluate, refit
+from .parts import Part, nobody
+from .refit import Verdictable, evaluate, foresighted, refit
 from .replica import Replica, build_replica
-from .screen import Part, Score, screen
+from .screen import Score, screen
 
 __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
+FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
 
@@ -46,10 +49,21 @@ class Refit:
     found: Verdictable
     against: Verdictable
 
-    def gain(self, part: str, *, free: bool = False) -> float:
-        """Share of the baseline's error of ``part`` that is gone: its ``observed`` squares, or the mean error of a free run."""
-        before, after = ((v.free if free else v.observed)[part] for v in (self.against, self.found))
+    def gain(self, part: str, kind: str = "observed") -> float:
+        """Share of the baseline's error of ``part`` that is gone: of its squares as ``observed`` or ``foreseen``, or of its ``free`` run.
+
+        Where nobody looked what it foresees, that is what was observed.
+        """
+        kind = "observed" if kind == "foreseen" and part not in self.found.foreseen else kind
+        before, after = (getattr(v, kind)[part] for v in (self.against, self.found))
         return 1 - after / max(before, 1e-300) if np.isfinite(after) else -np.inf
+
+    @property
+    def promise(self) -> float:
+        """Mean log of the share of squared error that is left, negated; what was fitted counts as much as all the rest."""
+        gains = {name: np.log(max(self.against.observed[name], 1e-300) / self.found.observed[name]) for name in self.found.observed}
+        rest = [gain for name, gain in gains.items() if name != "train"]
+        return float(0.5 * gains["train"] + 0.5 * np.mean(rest)) if np.isfinite(list(gains.values())).all() else -np.inf
 
 
 @dataclass(frozen=True)
@@ -164,19 +178,24 @@ def inquire(
     rivals = {k: score for k, score in elsewhere.items() if score is not None}
     fits = refit(task, base, [*chosen, learned, *rivals.values()], iterations=preset.steps, spacing=replicas[0].spacing)
     others = dict(zip(rivals, fits[2 + len(chosen) :], strict=True))
-    base = evaluate(wide, fits[0], parts)
-    yardstick = Refit(learned, evaluate(wide, fits[1 + len(chosen)], parts), base)
-    refits = []
+    base = foresighted(wide, evaluate(wide, fits[0], parts), parts)
+    yardstick = Refit(learned, foresighted(wide, evaluate(wide, fits[1 + len(chosen)], parts), parts), base)
+    refits, blind = [], []
     for k, (score, found) in enumerate(zip(chosen, fits[1 : 1 + len(chosen)], strict=True)):
-        if k not in rivals:
-            refits.append(Refit(score, evaluate(wide, found, parts), base))
-            continue
-
-        def blind(replica, pair=(score.hypothesis, rivals[k].hypothesis)):
-            return np.union1d(*(h.follows(replica) for h in pair))
-
-        refits.append(Refit(score, evaluate(wide, found, parts, leave=blind), evaluate(wide, others[k], parts, leave=blind)))
+        leave = _followed(score.hypothesis, rivals[k].hypothesis) if k in rivals else nobody
+        against = evaluate(wide, others[k], parts, leave=leave) if k in rivals else base
+        refits.append(Refit(score, evaluate(wide, found, parts, leave=leave), against))
+        blind.append(leave)
+    for k in sorted(range(len(refits)), key=lambda k: -refits[k].promise)[:FORESEEN]:
+        one = refits[k]
+        against = foresighted(wide, one.against, parts, leave=blind[k]) if k in rivals else base
+        refits[k] = replace(one, found=foresighted(wide, one.found, parts, leave=blind[k]), against=against)
     return replace(inquiry, base=base, refits=refits, yardstick=yardstick)
+
+
+def _followed(*hypotheses: Hypothesis) -> Callable[[Replica], np.ndarray]:
+    """The nodes that any of ``hypotheses`` moves to where they were seen."""
+    return lambda replica: reduce(np.union1d, (h.follows(replica) for h in hypotheses)).astype(int)
 
 
 def _elsewhere(score: Score, scores: Sequence[Score], spacing: float) -> Score | None:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .fit import Fit, Frames, Task, fit, floor_of
+from .foresight import foreseen
 from .model import Model
+from .parts import Part, nobody
 from .replica import Replica
-from .screen import Part, Score
+from .screen import Score
 
-__all__ = ["Verdictable", "evaluate", "refit"]
+__all__ = ["Verdictable", "evaluate", "foresighted", "refit"]
 
 STARTS = (0.02, 0.2, 0.6, 1.2)  # shares of the linear estimate from which a refit may begin
 TRIAL = 2  # steps after which the better of a near and a far start goes on
@@ -27,11 +29,13 @@ class Verdictable:
     fit       where its fit ended
     observed  by part, squared innovation under the observer in the (geometric) mean frame, its floor included [m^2]
     free      by part, mean error of the free-running simulation [m]
+    foreseen  by part that was not fitted, like observed, with what the fit left open left open (``foresight``) [m^2]; empty if not asked
     """
 
     fit: Fit
     observed: dict[str, float]
     free: dict[str, float]
+    foreseen: dict[str, float] = field(default_factory=dict)
 
 
 def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, spacing: float) -> list[Fit]:
@@ -82,8 +86,8 @@ def _best(task, model, starts):
     return starts[int(np.argmin(costs))]
 
 
-def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[Replica], np.ndarray] | None = None) -> Verdictable:
-    """Errors of a fit on all parts: under the task's observer, and running free; nodes that ``leave`` names do not count."""
+def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[Replica], np.ndarray] = nobody) -> Verdictable:
+    """Errors of a fit on all parts, the first of which it was fitted to; nodes that ``leave`` names do not count."""
     observed, free = {}, {}
     runs = {}
     for part in parts:
@@ -96,8 +100,7 @@ def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
         replica = simulator.replica
         judged = np.ones(len(replica.nodes), bool)
         judged[replica.driven] = False
-        if leave is not None:
-            judged[leave(replica)] = False
+        judged[leave(replica)] = False
         seen = replica.sightings.position[part.first : part.last, judged]
         there = np.isfinite(seen[..., 0])
         gaps = [np.where(there[..., None], seen - x[part.first : part.last, judged], 0.0) for x in (watched, alone)]
@@ -108,3 +111,8 @@ def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
         observed[part.name] = float(np.exp(by_frame.misfit(gaps[0].ravel() / np.sqrt(there.sum()))))
         free[part.name] = float(np.linalg.norm(gaps[1], axis=-1)[there].mean())
     return Verdictable(found, observed, free)
+
+
+def foresighted(task: Task, found: Verdictable, parts: Sequence[Part], *, leave: Callable[[Replica], np.ndarray] = nobody) -> Verdictable:
+    """The same with what it foresees."""
+    return replace(found, foreseen=foreseen(task, found.fit, parts, leave=leave))

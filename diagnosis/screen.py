@@ -9,22 +9,11 @@ from math import ceil
 
 import numpy as np
 
-from .fit import INDEPENDENT, Fit, Frames, Task, floor_of, turned
+from .fit import INDEPENDENT, Fit, Task, turned
 from .hypotheses import STAGES_IN_ONE, Hypothesis
+from .parts import MARGIN, Part, innovations, judged
 
-__all__ = ["Part", "Score", "screen"]
-
-MARGIN = 1.2  # on the baseline's substeps, for hypotheses that stiffen the body
-
-
-@dataclass(frozen=True)
-class Part:
-    """Frames [first, last) of recording ``index`` in a task: what is fitted, or what is held out."""
-
-    name: str
-    index: int
-    first: int
-    last: int
+__all__ = ["Score", "screen"]
 
 
 @dataclass(frozen=True)
@@ -66,7 +55,7 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
                 sign = 1.0 if knob.high > 0 else -1.0
                 steps.append(sign * knob.step * knob.spread)
                 rows.append({**base.values, **off, **h.values, knob.name: steps[-1]})
-        residuals, by_frame = _by_part(task, model, rows, parts, substeps)
+        residuals, by_frame = innovations(task, model, rows, parts, substeps)
         origin = [r[0] for r in residuals]
         done = 1 + len(turns)
         if nuisance is None:
@@ -76,40 +65,10 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
         for h in members:
             own = slice(at, at + len(h.knobs))
             at += len(h.knobs)
-            blind = [_blind(h, task, part) for part in parts]
+            blind = [judged(task, part, h.follows) for part in parts]
             mine = [c[:, own] for c in columns]
             scores.append(_score(h, *(_without(part, blind) for part in (origin, nuisance, mine)), parts, by_frame))
     return scores
-
-
-def _by_part(task, model, rows, parts, substeps):
-    """Per part (B, R) weighted innovations, each part's weights normalised to 1, and what its frames mean."""
-    out, frames = [], []
-    runs = {}
-    for part in parts:
-        if part.index not in runs:
-            simulator = task.simulators[part.index]
-            last = max(p.last for p in parts if p.index == part.index)
-            mine = [{**row, "observer_bandwidth": task.bandwidth} for row in rows]
-            runs[part.index] = simulator.run(model.terms, mine, last, substeps=substeps[part.index])
-        simulator, found = task.simulators[part.index], runs[part.index]
-        seen = simulator.replica.sightings.position[part.first : part.last]
-        there = np.isfinite(seen[..., 0])
-        there[:, simulator.replica.driven] = False
-        if part.first == 0:
-            there[0] = False
-        gap = np.where(there[None, ..., None], seen[None] - found[:, part.first : part.last], 0.0)
-        out.append((gap / np.sqrt(max(1, there.sum()))).reshape(len(rows), -1))
-        frames.append(Frames.of_seen([there], [floor_of(simulator.replica, task.finest)]))
-    return out, frames
-
-
-def _blind(h, task, part):
-    """(R,) 1 where a residual of ``part`` may judge ``h``, 0 at nodes whose sightings it uses to say where they go."""
-    replica = task.simulators[part.index].replica
-    judged = np.ones(len(replica.nodes))
-    judged[h.follows(replica)] = 0.0
-    return np.repeat(np.tile(judged, part.last - part.first), 3)
 
 
 def _without(parts, blind):

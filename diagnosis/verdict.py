@@ -29,7 +29,7 @@ FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is ask
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 NONE, OTHER = "adequate", "unknown"
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
-CONTEXT = ("learned", "best", "floor")
+CONTEXT = ("learned", "best", "floor", "unforeseen", "chain", "sheet")
 
 
 @dataclass(frozen=True)
@@ -115,10 +115,10 @@ def _features(refit: Refit, transfer):
     h = refit.score.hypothesis
     return {
         "train": left(refit.gain("train")),
-        "heldout": left(refit.gain("heldout")),
-        "transfer": float(mean([left(refit.gain(t)) for t in transfer])) if transfer else 0.0,
-        "free_heldout": left(refit.gain("heldout", free=True)),
-        "free_transfer": float(mean([left(refit.gain(t, free=True)) for t in transfer])) if transfer else 0.0,
+        "heldout": left(refit.gain("heldout", "foreseen")),
+        "transfer": float(mean([left(refit.gain(t, "foreseen")) for t in transfer])) if transfer else 0.0,
+        "free_heldout": left(refit.gain("heldout", "free")),
+        "free_transfer": float(mean([left(refit.gain(t, "free")) for t in transfer])) if transfer else 0.0,
         "kept": float(np.log(max(refit.score.kept, 1e-3))),
         "extra": float(len(h.knobs)),
     }
@@ -142,13 +142,19 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
-    """What speaks for nothing or for something else: gains of a nameless force field and the best reading, the error over noise."""
-    gains = [left(inquiry.yardstick.gain(part.name)) for part in inquiry.parts if part.name != "train"]
+    """What speaks for nothing or for something else: gains of a nameless force field and the best reading, errors, and the kind of body."""
+    others = [part for part in inquiry.parts if part.name != "train"]
+    gains = [left(inquiry.yardstick.gain(part.name, "foreseen")) for part in others]
     noise = max(inquiry.case.sightings.noise, 1e-4)
     floor = float(np.log(np.sqrt(inquiry.base.observed["train"] / 3) / noise))
     best = max([_worth(r.features) for r in found if r.term], default=0.0)
-    excess = [np.log(inquiry.base.observed[p.name] / floor_of(inquiry.simulators[p.index].replica, inquiry.finest)) for p in inquiry.parts]
-    return {"learned": float(np.mean(gains)), "best": best, "floor": floor, "fine": float(max(excess) < FINE)}
+    asked = {p.name: floor_of(inquiry.simulators[p.index].replica, inquiry.finest) for p in inquiry.parts}
+    excess = [np.log(inquiry.base.observed[name] / size) for name, size in asked.items()]
+    missed = [np.log(inquiry.base.foreseen[p.name] / asked[p.name]) for p in others]
+    chain = bool(inquiry.case.system.chains)
+    sheet = not chain and not len(inquiry.case.recording.interior)
+    around = {"learned": np.mean(gains), "best": best, "floor": floor, "unforeseen": np.clip(np.mean(missed), 0.0, 10.0)}
+    return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(max(excess) < FINE)}
 
 
 def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration) -> tuple[list[str], np.ndarray]:

@@ -413,13 +413,17 @@ def test_an_obstacle_rubs():
 
 
 def test_a_tether_holds_its_patch():
-    # m k w (y - x) = m g: hangs g / (k w) below the anchor, w = exp(-1/2) at one reach from the middle of the patch; what is far away falls
-    k, anchor, at = 100.0, np.array([0.3, -0.2, 1.0]), np.array([0.05, 0, 0])
+    # m k w (|y - x| - L) = m g: hangs L + g / (k w) below the anchor, w = exp(-1/2) at one reach from the middle of the patch; what is far
+    # away falls
+    k, length, anchor, at = 100.0, 0.07, np.array([0.3, -0.2, 1.0]), np.array([0.05, 0, 0])
     values = dict(hidden_tether=k, tether_within=0.05, tether_anchor_x=anchor[0], tether_anchor_y=anchor[1], tether_anchor_z=anchor[2])
+    values |= dict(tether_length=length)
     x = rest_place(body(at, HiddenTether, masses=[2.0], gravity_z=-G, **values))
-    np.testing.assert_allclose(x, anchor - [0, 0, G / (k * np.exp(-0.5))], rtol=0, atol=SETTLED)
+    np.testing.assert_allclose(x, anchor - [0, 0, length + G / (k * np.exp(-0.5))], rtol=0, atol=SETTLED)
     far = body([5.0, 0, 0], HiddenTether, gravity_z=-G, **values)
     np.testing.assert_allclose(end(far, 1e-3, 1000)[1][0], [0, 0, -G], rtol=0, atol=ROUNDING)
+    slack = body(anchor - [0, 0, 0.9 * length], HiddenTether, gravity_z=-G, **values | dict(tether_within=10.0))
+    np.testing.assert_allclose(end(slack, 1e-6, 1)[1][0], [0, 0, -G * 1e-6], rtol=1e-12)
 
 
 def test_a_second_hand_carries_its_patch_along_what_was_seen():

@@ -10,8 +10,9 @@ from twinbench.diagnosis.fit import Fit, Task, fit, floor_of
 from twinbench.diagnosis.hypotheses import ANY, FOLLOWED, Hypothesis, catalogue, hypotheses_for
 from twinbench.diagnosis.locate import DAMPING, missing_acceleration
 from twinbench.diagnosis.model import Knob, Model
+from twinbench.diagnosis.parts import Part, judged
 from twinbench.diagnosis.refit import _starts, evaluate, refit
-from twinbench.diagnosis.screen import Part, _blind, screen
+from twinbench.diagnosis.screen import screen
 from twinbench.physics.terms import Ground, Springs
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 from twinbench.physics.terms.quadratic_drag import QuadraticDrag
@@ -127,8 +128,8 @@ def test_nodes_that_follow_the_recording_are_no_evidence(tiny):
     near = np.linalg.norm(simulator.replica.nodes - place, axis=1) < FOLLOWED * reach
     assert 0 < near.sum() < len(near)
     assert hand.follows(simulator.replica).tolist() == np.flatnonzero(near).tolist()
-    judged = _blind(hand, Task([simulator], [30], BANDWIDTH), PARTS[1]).reshape(10, -1, 3)  # residuals are frame by node by axis
-    assert ((judged == 0) == near[None, :, None]).all()
+    counted = judged(Task([simulator], [30], BANDWIDTH), PARTS[1], hand.follows).reshape(10, -1, 3)  # residuals are frame by node by axis
+    assert ((counted == 0) == near[None, :, None]).all()
     assert drag().follows(simulator.replica).size == 0  # a law of motion is judged by every node
 
 
