@@ -80,7 +80,7 @@ ABLATIONS = {
         ),
         published=_PAPERS_STAGES,
     ),
-    "quirks": Ablation("PhysTwin with one quirk of the reference implementation at a time", quirks_of="phystwin"),
+    "quirks": Ablation("PhysTwin with one quirk of the reference implementation at a time", quirks_of="phystwin", tasks=()),
     "gs-dynamics-quirks": Ablation("GS-Dynamics with one quirk of the published code at a time", quirks_of="gs-dynamics"),
     "spring-gaus-quirks": Ablation("Spring-Gaus with one quirk of the augmented reference at a time", quirks_of="spring-gaus"),
     "clips": Ablation(

@@ -13,7 +13,7 @@ from ..datasets.catalogue import CITATION, PUBLISHED
 from .cache import replacing
 from .plan import TASKS
 from .results import Results
-from .table import Sheet, escape, number, remarks, sheets
+from .table import Sheet, escape, latex_table, number, remarks, sheets
 
 __all__ = ["Board", "Interval", "boards", "half_width", "leaderboard_csv", "leaderboard_latex", "leaderboard_markdown", "write_leaderboard"]
 
@@ -205,31 +205,21 @@ def _capital(text: str) -> str:
 
 def leaderboard_latex(results: Results, *, says: str = "", published: Sequence[str] | None = None) -> str:
     """The leaderboard in LaTeX, to be put into a document with \\input; the best in bold, published figures below a rule."""
-    parts, found = ["% needs \\usepackage{booktabs}"], boards(results)
+    parts, found = ["% needs \\usepackage{booktabs,graphicx}"], boards(results)
     for board in found:
         ours, theirs = [], []
         for line, cells in zip(board.sheet.block.lines, _cells(board), strict=True):
             texts = [rf"\textbf{{{escape(text)}}}" if best else escape(text) for text, _, best in cells]
             texts = [text + (rf" $\pm$ {half}" if half else "") for text, (_, half, _) in zip(texts, cells, strict=True)]
             (theirs if line.published else ours).append(texts)
-        parts.append(_latex_table(board.sheet.caption, board.sheet.header, [ours, theirs]))
+        parts.append(latex_table(board.sheet.caption, board.sheet.header, [ours, theirs]))
     notes = [*([says] if says else []), *_about(found, results)]
     tables = _elsewhere(results, published)
-    parts += [_latex_table(caption, header, [[list(map(escape, row)) for row in rows]]) for caption, (header, *rows) in tables]
+    parts += [latex_table(caption, header, [[list(map(escape, row)) for row in rows]]) for caption, (header, *rows) in tables]
     notes += [ELSEWHERE] if tables else []
-    items = "\n".join(rf"\item {escape(_capital(note))}" for note in notes)
-    parts.append(f"{{\\footnotesize\n\\begin{{itemize}}\n{items}\n\\end{{itemize}}\n}}")
+    items = "\n".join(rf"\item {escape(_capital(note))}" for note in notes).replace("/", r"/\allowbreak{}")
+    parts.append(f"{{\\footnotesize\\sloppy\n\\begin{{itemize}}\n{items}\n\\end{{itemize}}\n}}")
     return "\n\n".join(parts) + "\n"
-
-
-def _latex_table(caption: str, header: Sequence[str], groups: Sequence[Sequence[Sequence[str]]]) -> str:
-    blocks = [[" & ".join(row) + r" \\" for row in rows] for rows in groups if rows]
-    body = [" & ".join(map(escape, header)) + r" \\"]
-    for rows in blocks:
-        body += [r"\midrule", *rows]
-    begin = [r"\begin{table}", r"\centering\footnotesize\setlength{\tabcolsep}{3pt}", rf"\caption{{{escape(caption)}.}}"]
-    tabular = rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}"
-    return "\n".join([*begin, tabular, r"\toprule", *body, r"\bottomrule", r"\end{tabular}", r"\end{table}"])
 
 
 def leaderboard_csv(results: Results) -> str:

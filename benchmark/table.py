@@ -9,7 +9,21 @@ from dataclasses import dataclass, replace
 from .plan import TASKS
 from .results import Results
 
-__all__ = ["Block", "Line", "Sheet", "blocks", "escape", "latex", "markdown", "notes", "number", "remarks", "sheets", "terminal"]
+__all__ = [
+    "Block",
+    "Line",
+    "Sheet",
+    "blocks",
+    "escape",
+    "latex",
+    "latex_table",
+    "markdown",
+    "notes",
+    "number",
+    "remarks",
+    "sheets",
+    "terminal",
+]
 
 
 @dataclass(frozen=True)
@@ -293,23 +307,33 @@ def markdown(results: Results) -> str:
 
 
 def latex(results: Results) -> str:
-    """The tables in LaTeX (package booktabs); the best of a column is bold."""
-    parts = []
+    """The tables in LaTeX (packages booktabs and graphicx); the best of a column is bold."""
+    parts = ["% needs \\usepackage{booktabs,graphicx}"]
     for block in blocks(results):
-        header = [escape(name) for name in _header(block, dict(results.units))]
         rows = [
             [f"\\textbf{{{escape(text)}}}" if best else escape(text.strip()) for text, best in _cells(block, line, results)]
             for line in block.lines
         ]
-        lines = [" & ".join(row) + r" \\" for row in rows]
-        body = [r"\toprule", " & ".join(header) + r" \\", r"\midrule", *lines, r"\bottomrule"]
-        begin = [r"\begin{table}", r"\centering", rf"\caption{{{escape(_caption(block))}.}}"]
-        parts.append("\n".join([*begin, rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}", *body, r"\end{tabular}", r"\end{table}"]))
+        parts.append(latex_table(_caption(block), _header(block, dict(results.units)), [rows]))
     return "\n\n".join(parts) + "\n"
 
 
+def latex_table(caption: str, header: Sequence[str], groups: Sequence[Sequence[Sequence[str]]]) -> str:
+    """One table with a rule above each of the ``groups`` of rows, whose cells are LaTeX; ``caption`` and ``header`` are plain text.
+
+    Words of the header stand above each other, and what still is wider than the page is made smaller.
+    """
+    names = [r"\\".join(map(escape, name.replace("_", "_ ").split())) for name in header]
+    lines = [" & ".join([names[0], *(rf"\shortstack[r]{{{name}}}" for name in names[1:])]) + r" \\"]
+    for rows in groups:
+        lines += [r"\midrule", *(" & ".join(row) + r" \\" for row in rows)] if rows else []
+    begin = [r"\begin{table}", r"\centering\footnotesize\setlength{\tabcolsep}{3pt}", rf"\caption{{{escape(caption)}.}}"]
+    begin += [r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%", rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}"]
+    return "\n".join([*begin, r"\toprule", *lines, r"\bottomrule", r"\end{tabular}}", r"\end{table}"])
+
+
 def escape(text: str) -> str:
-    """``text`` for LaTeX."""
+    """``text`` for LaTeX. A bracket after the end of a line or an item would be an option of theirs: it stands in a group."""
     replaced = {"\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-    replaced |= {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$"}
+    replaced |= {"[": "{[}", "<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}", "±": r"$\pm$"}
     return "".join(replaced.get(character, "\\" + character if character in "_%&#$" else character) for character in text)
