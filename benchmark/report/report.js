@@ -2,7 +2,6 @@
 
 const SERIES = 8; // colours; further methods have them again, dashed
 const FEW = 60; // points, as on a cable, are drawn larger
-const SPEED = 30; // frames per second where the recording does not say
 
 // Lines in the order of a column: the best of a column of numbers is not known here, so the first click ascends and the next descends.
 function sortable(table) {
@@ -53,7 +52,6 @@ class Report {
   constructor(run) {
     this.run = run;
     this.hidden = new Set();
-    this.timer = null;
     this.colours = shades(run.methods);
     this.dashed = (method) => run.methods.indexOf(method) >= SERIES;
   }
@@ -82,7 +80,7 @@ class Report {
   }
 
   choose(index) {
-    this.stop();
+    this.player.stop();
     const exhibit = this.run.exhibits[index];
     this.index = index;
     this.exhibit = exhibit;
@@ -167,7 +165,8 @@ class Report {
     } else {
       found.canvas = made("canvas", { tabIndex: 0, role: "img" });
       box.append(found.canvas);
-      this.turnable(found.canvas);
+      const { camera } = this.exhibit; // all drawings of a recording turn together
+      turnable(found.canvas, () => camera, () => this.draw());
     }
     box.append(words);
     found.figure = made("figure", {}, box, caption);
@@ -181,7 +180,7 @@ class Report {
     const found = { metric, canvas, caption, unit: this.unit(metric) };
     found.figure = made("figure", {}, made("h3", {}, this.heading(metric)), canvas, caption);
     const frame = (event) => frameAxis(canvas.clientWidth, this.exhibit.frames).frame(event.offsetX);
-    canvas.addEventListener("pointerdown", (event) => { this.stop(); canvas.setPointerCapture(event.pointerId); this.seek(frame(event)); });
+    canvas.addEventListener("pointerdown", (event) => { this.player.stop(); canvas.setPointerCapture(event.pointerId); this.seek(frame(event)); });
     canvas.addEventListener("pointermove", (event) => {
       if (canvas.hasPointerCapture(event.pointerId)) this.seek(frame(event));
       else { this.hovered = frame(event); this.drawCurves(); }
@@ -301,64 +300,19 @@ class Report {
     }
   }
 
-  play() {
-    if (this.timer) return this.stop();
-    if (this.frame >= this.exhibit.frames - 1) this.seek(0);
-    element("play").textContent = "Pause";
-    element("play").setAttribute("aria-pressed", "true");
-    const [from, began] = [this.frame, performance.now()];
-    const tick = (time) => {
-      const frame = from + Math.max(0, Math.floor(((time - began) / 1000) * (this.exhibit.fps || SPEED)));
-      if (frame !== this.frame) this.seek(frame);
-      if (this.frame >= this.exhibit.frames - 1) this.stop();
-      else this.timer = requestAnimationFrame(tick);
-    };
-    this.timer = requestAnimationFrame(tick);
-    return undefined;
-  }
-
-  stop() {
-    if (this.timer) cancelAnimationFrame(this.timer);
-    this.timer = null;
-    element("play").textContent = "Play";
-    element("play").setAttribute("aria-pressed", "false");
-  }
-
   listen() {
     this.sizes = new ResizeObserver(() => this.draw());
     element("exhibit").addEventListener("change", (event) => this.choose(Number(event.target.value)));
     element("previous").addEventListener("click", () => this.choose(this.index - 1));
     element("next").addEventListener("click", () => this.choose(this.index + 1));
-    element("frame").addEventListener("input", (event) => { this.stop(); this.seek(Number(event.target.value)); });
-    element("play").addEventListener("click", () => this.play());
+    element("frame").addEventListener("input", (event) => { this.player.stop(); this.seek(Number(event.target.value)); });
+    const state = () => ({ frame: this.frame, last: this.exhibit.frames - 1, fps: this.exhibit.fps });
+    this.player = new Player(element("play"), state, (frame) => this.seek(frame));
     element("outline").addEventListener("change", () => this.draw());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
       this.colours = shades(this.run.methods);
       this.offer();
       this.furnish();
-      this.draw();
-    });
-  }
-
-  // All drawings of a recording turn together.
-  turnable(canvas) {
-    const { camera } = this.exhibit;
-    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
-    canvas.addEventListener("pointermove", (event) => {
-      if (!canvas.hasPointerCapture(event.pointerId)) return;
-      camera.turn(event.movementX / 150, event.movementY / 150);
-      this.draw();
-    });
-    canvas.addEventListener("dblclick", () => { camera.reset(); this.draw(); });
-    const keys = {
-      ArrowLeft: () => camera.turn(-0.1, 0), ArrowRight: () => camera.turn(0.1, 0),
-      ArrowUp: () => camera.turn(0, -0.1), ArrowDown: () => camera.turn(0, 0.1),
-      "+": () => camera.scale(1.2), "=": () => camera.scale(1.2), "-": () => camera.scale(1 / 1.2), 0: () => camera.reset(),
-    };
-    canvas.addEventListener("keydown", (event) => {
-      if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
-      event.preventDefault();
-      keys[event.key]();
       this.draw();
     });
   }

@@ -1,4 +1,5 @@
-// What pages draw with: an orthographic camera that turns about the upward direction, packed arrays, marks on a canvas. Positions in metres.
+// What pages draw with: an orthographic camera that turns about the upward direction, packed arrays, marks on a canvas, a player of frames.
+// Positions in metres.
 
 const element = (id) => document.getElementById(id);
 const embedded = (id) => JSON.parse(element(id).textContent);
@@ -80,6 +81,69 @@ class Camera {
     const x = this.box.x + this.box.width / 2 + this.pixels * dot(from, this.right);
     return [x, this.box.y + this.box.height / 2 - this.pixels * dot(from, this.above), dot(from, this.near)];
   }
+}
+
+const SPEED = 30; // frames per second where the recording does not say
+
+// Plays frames at their own pace, from where they are or, at the end, from the start. `state()` gives { frame, last, fps }, `seek` shows one.
+class Player {
+  constructor(button, state, seek) {
+    Object.assign(this, { button, state, seek, timer: null });
+    button.addEventListener("click", () => this.toggle());
+  }
+
+  toggle() {
+    if (this.timer) this.stop();
+    else this.play();
+  }
+
+  play() {
+    this.stop();
+    if (this.state().frame >= this.state().last) this.seek(0);
+    this.label("Pause", true);
+    const [{ frame: from, last, fps }, began] = [this.state(), performance.now()];
+    const tick = (time) => {
+      const frame = Math.min(last, from + Math.max(0, Math.floor(((time - began) / 1000) * (fps || SPEED))));
+      if (frame !== this.state().frame) this.seek(frame);
+      if (frame >= last) this.stop();
+      else this.timer = requestAnimationFrame(tick);
+    };
+    this.timer = requestAnimationFrame(tick);
+  }
+
+  stop() {
+    if (this.timer) cancelAnimationFrame(this.timer);
+    this.timer = null;
+    this.label("Play", false);
+  }
+
+  label(text, pressed) {
+    this.button.textContent = text;
+    this.button.setAttribute("aria-pressed", `${pressed}`);
+  }
+}
+
+// A drawing that is turned by dragging and by the arrow keys; `camera()` is what it is seen with, `keys` are further keys and what they do.
+function turnable(canvas, camera, changed, keys = {}) {
+  canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+  canvas.addEventListener("pointermove", (event) => {
+    if (!canvas.hasPointerCapture(event.pointerId)) return;
+    camera().turn(event.movementX / 150, event.movementY / 150);
+    changed();
+  });
+  canvas.addEventListener("dblclick", () => { camera().reset(); changed(); });
+  const known = {
+    ArrowLeft: () => camera().turn(-0.1, 0), ArrowRight: () => camera().turn(0.1, 0),
+    ArrowUp: () => camera().turn(0, -0.1), ArrowDown: () => camera().turn(0, 0.1),
+    "+": () => camera().scale(1.2), "=": () => camera().scale(1.2), "-": () => camera().scale(1 / 1.2), 0: () => camera().reset(),
+    ...keys,
+  };
+  canvas.addEventListener("keydown", (event) => {
+    if (!known[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
+    event.preventDefault();
+    known[event.key]();
+    changed();
+  });
 }
 
 // The nearest 1, 2 or 5 times a power of ten that is not above `value`.

@@ -22,7 +22,6 @@ class Page {
     this.camera = new Camera(scene.up || [0, 0, 1]);
     this.mark = this.marked(diagnosis.where);
     this.twin = "baseline";
-    this.timer = null;
   }
 
   start() {
@@ -47,7 +46,7 @@ class Page {
 
   // A recording is unpacked when it is first looked at.
   choose(index) {
-    this.stop();
+    this.player.stop();
     const record = this.records[index];
     if (record.view && !record.unpacked) {
       const arrays = Object.fromEntries(Object.entries(record.view.arrays).map(([name, packed]) => [name, unpack(packed)]));
@@ -157,29 +156,6 @@ class Page {
     if (twins.length > 1) line(context, [[width / 2, 0], [width / 2, height]], shades.line, 1);
   }
 
-  play() {
-    if (this.timer) return this.stop();
-    if (this.frame >= this.frames - 1) this.seek(0);
-    element("play").textContent = "Pause";
-    element("play").setAttribute("aria-pressed", "true");
-    const [from, began] = [this.frame, performance.now()];
-    const tick = (time) => {
-      const frame = from + Math.max(0, Math.floor(((time - began) / 1000) * (this.record.fps || 30)));
-      if (frame !== this.frame) this.seek(frame);
-      if (this.frame >= this.frames - 1) this.stop();
-      else this.timer = requestAnimationFrame(tick);
-    };
-    this.timer = requestAnimationFrame(tick);
-    return undefined;
-  }
-
-  stop() {
-    if (this.timer) cancelAnimationFrame(this.timer);
-    this.timer = null;
-    element("play").textContent = "Play";
-    element("play").setAttribute("aria-pressed", "false");
-  }
-
   // A located cluster, shown in the case at its first frame.
   show(index) {
     const cluster = this.clusters[index];
@@ -196,15 +172,15 @@ class Page {
     this.twin = "both";
     this.offer();
     element("where").scrollIntoView();
-    this.stop();
     this.seek(0);
-    this.play();
+    this.player.play();
   }
 
   listen() {
     element("recording").addEventListener("change", (event) => this.choose(Number(event.target.value)));
-    element("frame").addEventListener("input", (event) => { this.stop(); this.seek(Number(event.target.value)); });
-    element("play").addEventListener("click", () => this.play());
+    element("frame").addEventListener("input", (event) => { this.player.stop(); this.seek(Number(event.target.value)); });
+    const state = () => ({ frame: this.frame, last: this.frames - 1, fps: this.record.fps });
+    this.player = new Player(element("play"), state, (frame) => this.seek(frame));
     element("compare").addEventListener("click", () => this.compare());
     element("panel").addEventListener("submit", (event) => event.preventDefault());
     element("panel").addEventListener("change", (event) => {
@@ -216,7 +192,7 @@ class Page {
     });
     this.listenToScene(element("scene"));
     const curve = element("curve");
-    const seek = (event) => { this.stop(); this.seek(frameAxis(curve.clientWidth, this.frames).frame(event.offsetX)); };
+    const seek = (event) => { this.player.stop(); this.seek(frameAxis(curve.clientWidth, this.frames).frame(event.offsetX)); };
     curve.addEventListener("pointerdown", (event) => { curve.setPointerCapture(event.pointerId); seek(event); });
     curve.addEventListener("pointermove", (event) => { if (curve.hasPointerCapture(event.pointerId)) seek(event); });
     const sizes = new ResizeObserver(() => this.draw());
@@ -225,30 +201,12 @@ class Page {
   }
 
   listenToScene(scene) {
-    scene.addEventListener("pointerdown", (event) => scene.setPointerCapture(event.pointerId));
-    scene.addEventListener("pointermove", (event) => {
-      if (!scene.hasPointerCapture(event.pointerId)) return;
-      this.camera.turn(event.movementX / 150, event.movementY / 150);
-      this.draw();
-    });
+    turnable(scene, () => this.camera, () => this.draw(), { " ": () => this.player.toggle() });
     scene.addEventListener("wheel", (event) => {
       event.preventDefault();
       this.camera.scale(Math.exp(-event.deltaY / 500));
       this.draw();
     }, { passive: false });
-    scene.addEventListener("dblclick", () => { this.camera.reset(); this.draw(); });
-    const keys = {
-      ArrowLeft: () => this.camera.turn(-0.1, 0), ArrowRight: () => this.camera.turn(0.1, 0),
-      ArrowUp: () => this.camera.turn(0, -0.1), ArrowDown: () => this.camera.turn(0, 0.1),
-      "+": () => this.camera.scale(1.2), "=": () => this.camera.scale(1.2), "-": () => this.camera.scale(1 / 1.2),
-      0: () => this.camera.reset(), " ": () => this.play(),
-    };
-    scene.addEventListener("keydown", (event) => {
-      if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
-      event.preventDefault();
-      keys[event.key]();
-      this.draw();
-    });
   }
 }
 
