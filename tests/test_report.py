@@ -458,6 +458,33 @@ def test_every_control_works(sample, bare, browser):
     assert "a particle is 2 km away" in document.text and "there is nothing that it wants" in document.text
 
 
+def test_frames_are_played_at_their_own_pace_and_stop_at_the_end(sample, browser):
+    # 30 frames/s: after half a second 15 frames on, give or take what one of the screen lasts. Without a screen there are none to wait for
+    probe = """
+    window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 16);
+    window.cancelAnimationFrame = clearTimeout;
+    const of = (id) => document.getElementById(id);
+    const root = document.documentElement.dataset;
+    const seek = (frame) => { of('frame').value = frame; of('frame').dispatchEvent(new Event('input')); };
+    const said = () => `${of('frame').value} ${of('play').textContent} ${of('play').getAttribute('aria-pressed')}`;
+    seek(10);
+    of('play').click();
+    setTimeout(() => {
+      root.half = said();
+      seek(44);
+      root.sought = said();
+      of('play').click();
+      setTimeout(() => { root.ended = said(); of('play').click(); root.again = said(); }, 500);
+    }, 500);
+    """
+    state, said, _ = browser(sample.path, probe)
+    assert state["data-state"] == "drawn" and said == []
+    frame, *label = state["data-half"].split()
+    assert 22 <= int(frame) <= 26 and label == ["Pause", "true"]
+    assert state["data-sought"] == "44 Play false"  # who moves the slider holds the film
+    assert state["data-ended"] == "47 Play false" and state["data-again"] == "0 Pause true"
+
+
 def test_a_narrow_page_does_not_scroll_sideways(sample, bare, browser, tmp_path):
     # in a frame of 400 pixels, as a browser's own window may not be so narrow
     for found in (sample, bare):
