@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 from collections.abc import Iterable
@@ -14,6 +13,9 @@ from typing import Annotated
 
 import tyro
 from tyro.conf import Positional, arg
+
+from .options import known as _known
+from .options import writable as _folder
 
 __all__ = ["main"]
 
@@ -379,6 +381,14 @@ class Concealed:
         return 1 if any(r["verdict"] == "failed" for r in results.values()) else 0
 
 
+@dataclass(frozen=True)
+class Challenge:
+    """Make, answer, open and score a sealed challenge: twinbench challenge make | answer | open | score."""
+
+    def __call__(self) -> int:
+        raise ValueError("twinbench challenge needs one of make, answer, open, score")
+
+
 _PRESETS, _DEVICES, _SPLITS = ("quick", "full"), ("cpu", "cuda"), ("published", "clean")
 
 
@@ -400,25 +410,6 @@ def _section(title: str, entries) -> None:
 
 def _first_line(thing) -> str:
     return (thing.__doc__ or "").strip().split("\n")[0]
-
-
-def _known(kind: str, names: Iterable[str], known: Iterable[str]) -> None:
-    from ..datasets.collection import nearest
-
-    for name in names:
-        if name not in known:
-            raise ValueError(f"unknown {kind} {name!r}; {nearest(name, known)}")
-
-
-def _folder(path: Path, *, option: str = "--out") -> Path:
-    """``path`` as a folder that can be written to, which is better known before hours of work than after."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        if not os.access(path, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-    except OSError as error:
-        raise ValueError(f"{path}: not a folder that results can be written to ({error.strerror}); choose another with {option}") from error
-    return path
 
 
 def _methods(names: Iterable[str]) -> dict:
@@ -448,19 +439,21 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"run": Run, "table": Table, "picture": Picture, "check": Check, "download": Download, "list": List}
-    commands |= {"diagnose": Diagnose, "concealed": Concealed, "real": Real}
+    commands |= {"diagnose": Diagnose, "concealed": Concealed, "challenge": Challenge, "real": Real}
     try:
         if arguments == ["--version"]:
             print(f"twinbench {version('twinbench')}")
             return 0
         if arguments and not arguments[0].startswith("-"):
             _known("command", arguments[:1], commands)
-        command = tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="twinbench",
-            description="Benchmark and diagnosis of physical digital twins of deformable objects.",
-            args=arguments,
-        )
+        says, prog = "Benchmark and diagnosis of physical digital twins of deformable objects.", "twinbench"
+        if arguments[:1] == ["challenge"]:
+            from .challenge.commands import COMMANDS as commands
+
+            says, prog, arguments = Challenge.__doc__, "twinbench challenge", arguments[1:]
+            if arguments and not arguments[0].startswith("-"):
+                _known("command", arguments[:1], commands)
+        command = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)
         return command()
     except BrokenPipeError:  # the reader of our output has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

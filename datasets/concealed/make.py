@@ -137,7 +137,8 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
             reasons.append(str(reason))
             continue
         write_pair(case, folder.cases / name, index)
-        label = case.label | {"level": entry.level, "like": entry.like or None, "simulated_by": by}
+        frames = [len(case.fit.points), len(case.transfer.points)]
+        label = case.label | {"level": entry.level, "like": entry.like or None, "simulated_by": by, "frames": frames}
         write_json(folder.kept / f"{name}.json", {"label": label, "salt": salt_of(seed, name)})
         return name
     write_json(folder.kept / f"{name}.json", {"undrawn": reasons})

@@ -1,0 +1,139 @@
+"""The command line of the challenge: ``twinbench challenge make | answer | open | score``."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+__all__ = ["COMMANDS"]
+
+Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
+Set = Annotated[Positional[Path], arg(metavar="DIR")]
+
+
+@dataclass(frozen=True)
+class Make:
+    """Write a sealed set: pairs of recordings with something concealed in them, and the hashes that are published before anybody answers.
+
+    cases/ is what is handed out, manifest.json what is published, sealed/ what is kept back. What is there is kept: a killed run goes on.
+    Needs MuJoCo (the extra "synthetic").
+    """
+
+    out: Annotated[Path, arg(metavar="DIR")]
+    """Folder of the set."""
+    preset: str = "quick"
+    """quick (18 cases) or full (246)."""
+    seed: str | None = None
+    """Any text; the same one gives the same set. Long and random, if labels shall be secret: who guesses it can make the set."""
+    beacon: str | None = None
+    """Instead of a seed: a public random text that became known only after the checked-out commit; the seed is the hash of both."""
+    engines: Names = ()
+    """Simulators to take the cases from, in equal shares: mujoco, finite. Default: all."""
+    jobs: int = 1
+    """Cases that are made at the same time."""
+
+    def __call__(self) -> int:
+        from ...datasets.concealed.audit import audit
+        from ...datasets.concealed.engines import ENGINES
+        from ...datasets.concealed.make import Folder, make
+        from ...datasets.concealed.seal import read_json, seed_of
+        from ..options import writable
+        from ..provenance import commit
+
+        if (self.seed is None) == (self.beacon is None):
+            raise ValueError("a set is made from --seed or from --beacon, one of them")
+        origin = {} if self.beacon is None else {"commit": commit(), "beacon": self.beacon}
+        seed = self.seed if self.beacon is None else seed_of(origin["commit"], self.beacon)
+        engines = self.engines or tuple(ENGINES)
+        found = make(writable(self.out), preset=self.preset, seed=seed, engines=engines, origin=origin, jobs=self.jobs, progress=_say)
+        folder = Folder(self.out)
+        sound = {name: read_json(folder.kept / f"{name}.json")["label"]["kind"] == "control" for name in found["cases"]}
+        told = audit({name: folder.cases / name for name in found["cases"]}, sound)
+        print(f"{len(found['cases'])} cases in {folder.cases}, {found['undrawn']} could not be drawn")
+        print(f"Names, sizes, types and times tell controls with an area under the curve of {told.auc:.2f} (p = {told.p:.2f} by chance)")
+        print(f"Publish {folder.manifest} or its root {found['root']}; keep {folder.kept} to yourself")
+        return 0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer the cases of a sealed set, and seal the answers by their hashes. Answers that are there are kept. No label is read."""
+
+    folder: Set
+    """Folder of the set."""
+    rivals: Names = ("diagnosis",)
+    """Who answers; all: everybody who is not told the labels. oracle, who is, answers after the opening."""
+    preset: str = "quick"
+    """quick or full."""
+    device: str = "cpu"
+    """cpu or cuda."""
+    jobs: int = 1
+    """Cases that are answered at the same time."""
+
+    def __call__(self) -> int:
+        from ..options import known
+        from .answering import answer_set
+        from .rivals import rivals
+
+        known("preset", [self.preset], ("quick", "full"))
+        known("device", [self.device], ("cpu", "cuda"))
+        untold = [name for name, rival in rivals().items() if not rival.told]
+        names = tuple(dict.fromkeys(n for name in self.rivals for n in (untold if name == "all" else [name])))
+        roots = answer_set(self.folder, names=names, preset=self.preset, device=self.device, jobs=self.jobs, progress=_say)
+        for name, root in roots.items():
+            print(f"{name}: publish the root {root}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Open:
+    """Open a sealed set: check recordings, labels and answers against what was published, write the labels, enter it into the ledger.
+
+    Refuses, and opens nothing, where anything was changed. Answers that are sealed later are exploratory.
+    """
+
+    folder: Set
+    """Folder of the set."""
+
+    def __call__(self) -> int:
+        from ...datasets.concealed.make import Folder
+        from .opening import open_set
+
+        entry = open_set(self.folder)
+        times = sum(e["event"] == "opened" for e in Folder(self.folder).ledger.read())
+        print(f"All hashes are as published. Opening {times} of this set: {self.folder / 'opened' / 'labels.json'}")
+        for rival, status in entry["rivals"].items():
+            print(f"{rival}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
+        print(f"Publish the ledger's head {entry['hash']}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Score:
+    """Score the answers to an opened set: alarms, names, power, place, onset, amplitude, gain, calibration, with intervals."""
+
+    folder: Set
+    """Folder of the set."""
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    """Folder for score.md, score.csv and score.json. Default: score in the folder of the set."""
+
+    def __call__(self) -> int:
+        from ..options import writable
+        from .scoring import score_set, terminal, write_scores
+
+        scored = score_set(self.folder)
+        print(terminal(scored))
+        out = writable(self.out or self.folder / "score")
+        print(f"\nWritten to {out}: {', '.join(file.name for file in write_scores(scored, out))}")
+        return 0
+
+
+COMMANDS = {"make": Make, "answer": Answer, "open": Open, "score": Score}
+
+
+def _say(said: str) -> None:
+    print(said, file=sys.stderr, flush=True)

@@ -1,0 +1,378 @@
+"""Every figure by which an answerer of the challenge is judged, with its uncertainty; and the tables behind them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...diagnosis.hypotheses import catalogue
+from ...diagnosis.verdict import NONE, OTHER
+from .statistics import (
+    auroc,
+    bootstrap,
+    calibration_bins,
+    clopper_pearson,
+    early_auroc,
+    expected_calibration_error,
+    overlap,
+    risk_coverage,
+    size_at,
+    upper_bound,
+)
+from .truths import Row, amplitude
+
+__all__ = ["SIZES", "Figure", "Grid", "figures", "grids", "with_floors"]
+
+SIZES = (0.5, 1.0, 2.0, 4.0, 8.0)  # over the floor; a case belongs to the nearest, by ratio
+CLOSABLE = 0.05  # share of its error that who was told must close, so that there is something to close
+PARTS = ("heldout", "transfer")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One number: its 95 % interval, over how many cases, and the ``goal`` that it shall reach ("higher", "lower"), if there is one."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    cases: int
+    unit: str = ""
+    goal: float | None = None
+    better: str = "higher"
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the goal is reached; None without a goal, or where nothing could be counted."""
+        if self.goal is None or not np.isfinite(self.value):
+            return None
+        return bool(self.value >= self.goal if self.better == "higher" else self.value <= self.goal)
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A table: a title, the names of its columns, and rows of text."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def with_floors(rows: Sequence[Row], judge: Sequence[Row]) -> list[Row]:
+    """``rows`` with what a twin of a sound body is off by: the median training error in ``judge``'s controls of the same body and engine.
+
+    Where there are none, those of the same body count, then all.
+    """
+    known: dict[tuple, list[float]] = {}
+    for row in judge:
+        error = ((row.answer.get("fit") or {}).get("train") or {}).get("baseline")
+        if row.kind == "control" and error:
+            for key in (_body_and_engine(row), _body_and_engine(row)[:1], ()):
+                known.setdefault(key, []).append(error)
+    return [replace(r, floor=float(np.median(next(known[k] for k in _keys(r) if k in known))) if known else r.floor) for r in rows]
+
+
+def _body_and_engine(row):
+    return row.label["object"], row.label.get("simulated_by")
+
+
+def _keys(row):
+    return _body_and_engine(row), _body_and_engine(row)[:1], ()
+
+
+def figures(rows: Sequence[Row]) -> list[Figure]:
+    """All figures of one answerer."""
+    kinds = {kind: [r for r in rows if r.kind == kind] for kind in ("control", "effect", "outside", "pair")}
+    controls, effects, outside, pairs = kinds.values()
+    twice = [r for r in effects if size_of(r) == 2.0]
+    right = [r for r in [*effects, *pairs] if r.first]
+    alarms = sum(r.alarm for r in controls)
+    found = [
+        _share("false alarms", [r.alarm for r in controls], goal=0.05, better="lower"),
+        Figure("false alarms, 95 % bound", upper_bound(alarms, len(controls)), *[float("nan")] * 2, len(controls), "share", 0.05, "lower"),
+        _share("false alarms with a name", [r.named for r in controls], better="lower"),
+        _over("detection, area under the curve", rows, _detection),
+        _over("the same up to 5 % false alarms", rows, lambda some: _detection(some, early_auroc)),
+        _share("effects found", [r.alarm for r in effects]),
+        _over("named first, macro", effects, _macro(lambda r: r.first)),
+        _over("named first at twice the floor, macro", twice, _macro(lambda r: r.first), goal=0.75),
+        _over("named or one of two at twice the floor, macro", twice, _macro(lambda r: r.of_two), goal=0.85),
+        _over("named or one of two, macro", effects, _macro(lambda r: r.of_two)),
+        _over("likeliest name right, said or not, macro", effects, _macro(lambda r: r.rank == 1)),
+        _over("macro F1 of names", effects, _macro_f1),
+        _share("named wrong", [r.named and not r.first for r in effects], better="lower"),
+        _over(
+            "size found in 80 % of cases", effects, lambda some: size_at([r.ratio for r in some], [r.alarm for r in some]), unit="floors"
+        ),
+        _over(
+            "size named in 80 % of cases", effects, lambda some: size_at([r.ratio for r in some], [r.first for r in some]), unit="floors"
+        ),
+        _over("place F1", right, _median(_place_f1), goal=0.80),
+        _over("place and time F1", right, _median(_place_time_f1)),
+        _over("place, distance", right, _median(_distance), unit="m", better="lower"),
+        _over("first cluster holds the place", right, _mean(_pinpointed)),
+        _over("onset, difference", right, _median(_onset), unit="frames", better="lower"),
+        _over("amplitude, error", right, _median(_amplitude_error), goal=0.20, better="lower", unit="share"),
+        _over("amplitude, 90 % intervals that cover", right, _mean(_covered)),
+        *(_over(f"share of the oracle's gain, {part}", effects, _gain(part), goal=0.6 if part == "transfer" else None) for part in PARTS),
+        _over("catalogued against outside, area under the curve", [*effects, *outside], _openness, goal=0.90),
+        _share("outside yet named", [r.named for r in outside], goal=0.10, better="lower"),
+        _share("outside said to be unknown", [r.verdict == OTHER for r in outside]),
+        _share("pairs, first name one of the two", [r.first for r in pairs]),
+        _over("pairs, F1 of names", pairs, _mean(_pair_f1)),
+        _over("calibration error", rows, lambda some: expected_calibration_error(*_confidence(some)), better="lower"),
+        _over("Brier score", rows, _mean(_brier), better="lower"),
+        _over("area under risk and coverage", rows, lambda some: risk_coverage(*_confidence(some)), better="lower"),
+        _share("failed or missing answers", [r.verdict == "failed" for r in rows], better="lower"),
+        _over("time of an answer", rows, _median(lambda r: r.answer.get("seconds")), unit="s", better="lower"),
+    ]
+    return found
+
+
+def size_of(row: Row) -> float:
+    """The size of ``SIZES`` nearest to a case's, by ratio."""
+    return min(SIZES, key=lambda s: abs(np.log(row.ratio / s))) if row.ratio > 0 else float("nan")
+
+
+def _share(name, hits, **about):
+    low, high = clopper_pearson(sum(hits), len(hits)) if hits else (float("nan"),) * 2
+    return Figure(name, sum(hits) / len(hits) if hits else float("nan"), low, high, len(hits), "share", **about)
+
+
+def _over(name, rows, statistic, *, unit="", **about):
+    """A figure whose interval is that of drawing cases anew; ``cases`` are those that have it."""
+    told = [r for r in rows if np.isfinite(statistic([r]))] if getattr(statistic, "by_case", False) else rows
+    value = statistic(list(told)) if told else float("nan")
+    low, high = bootstrap(told, statistic) if np.isfinite(value) else (float("nan"),) * 2
+    return Figure(name, value, low, high, len(told), unit, **about)
+
+
+def _by_case(pool):
+    """A statistic that pools one number of every case that has it."""
+
+    def of(number: Callable[[Row], float | None]):
+        def statistic(rows):
+            values = [float(v) for r in rows if (v := number(r)) is not None and np.isfinite(v)]
+            return float(pool(values)) if values else float("nan")
+
+        statistic.by_case = True
+        return statistic
+
+    return of
+
+
+_median, _mean = _by_case(np.median), _by_case(np.mean)
+
+
+def _macro(hit):
+    """Mean over effects of the share of their cases that are hit: an effect counts as much as another, however many cases it has."""
+
+    def statistic(rows):
+        groups: dict[str, list[bool]] = {}
+        for r in rows:
+            groups.setdefault(r.truth, []).append(bool(hit(r)))
+        return float(np.mean([np.mean(g) for g in groups.values()])) if groups else float("nan")
+
+    return statistic
+
+
+def _macro_f1(rows):
+    true, said = Counter(r.truth for r in rows), Counter(r.said for r in rows if r.named)
+    hits = Counter(r.truth for r in rows if r.first)
+    return float(np.mean([2 * hits[n] / (true[n] + said[n]) for n in true])) if true else float("nan")
+
+
+def _detection(rows, area=auroc):
+    controls = [r.suspicion for r in rows if r.kind == "control"]
+    return area([r.suspicion for r in rows if r.kind != "control"], controls)
+
+
+def _openness(rows):
+    return auroc([r.conviction for r in rows if r.kind == "effect"], [r.conviction for r in rows if r.kind == "outside"])
+
+
+def _confidence(rows):
+    return [r.likeliest[1] for r in rows], [r.likeliest[0] in r.truths for r in rows]
+
+
+def _brier(row):
+    """Sum over names of the squared distance of probability from truth; of two effects either may be the one."""
+    chances = row.probabilities
+    true = max(row.truths, key=lambda n: chances.get(n, 0.0))
+    return sum((p - (n == true)) ** 2 for n, p in chances.items()) + (true not in chances)
+
+
+def _place(row):
+    """Place of the truth and, where there is one, of the answer."""
+    part = row.concealed
+    there = part and part["place"][0]
+    return (there, row.answer.get("where")) if there else (None, None)
+
+
+def _place_f1(row):
+    there, said = _place(row)
+    if not there or not there.get("points"):  # nothing there, or in the room
+        return None
+    return overlap(said["points"], there["points"]) if said else 0.0
+
+
+def _place_time_f1(row):
+    """F1 of sets of particles and frames: what two rectangles share is the product of what their sides share."""
+    there, said = _place(row)
+    if not there or not there.get("points"):
+        return None
+    frames = row.label["frames"][0]
+    begins = row.concealed["onset"][0]
+    when = row.answer.get("when")
+    if not said or not when or begins is None:
+        return 0.0
+    points = len(set(said["points"]) & set(there["points"]))
+    times = max(0, min(when["frames"][1], frames) - max(when["frames"][0], begins))
+    size = len(said["points"]) * (when["frames"][1] - when["frames"][0]) + len(there["points"]) * (frames - begins)
+    return 2 * points * times / size
+
+
+def _distance(row):
+    there, said = _place(row)
+    return float(np.linalg.norm(np.subtract(said["centroid"], there["centroid"]))) if there and said else None
+
+
+def _pinpointed(row):
+    """Whether the heaviest cluster of the misfit lies where the truth is."""
+    there, _ = _place(row)
+    clusters = (row.answer.get("evidence") or {}).get("clusters")
+    if not there or clusters is None:
+        return None
+    if not clusters:
+        return 0.0
+    return float(np.linalg.norm(np.subtract(clusters[0]["centroid"], there["centroid"])) <= max(clusters[0]["radius"], there["radius"]))
+
+
+def _onset(row):
+    """Frames between the beginning that is said and the true one, of what begins after frame 0."""
+    begins, when = (row.concealed or {}).get("onset", [None])[0], row.answer.get("when")
+    return abs(when["frames"][0] - begins) if begins and when else None
+
+
+def _amplitude_error(row):
+    part = row.concealed
+    if not part:
+        return None
+    true, said = row.true_amplitude(part)[0], amplitude(part["effect"], row.answer.get("parameters") or {})
+    return abs(said / true - 1) if np.isfinite(true) and np.isfinite(said) and true else None
+
+
+def _covered(row):
+    """Whether the 90 % interval of an effect of one amplitude holds the true one, where physics tells it."""
+    part = row.concealed
+    if not part or row.true_amplitude(part)[1] != "physics":
+        return None
+    inner = [p["interval90"] for n, p in (row.answer.get("parameters") or {}).items() if n in _amplitude_names(part["effect"])]
+    true = row.true_amplitude(part)[0]
+    if len(inner) != 1:
+        return None
+    low, high = inner[0]
+    return float(low <= true <= high or low <= -true <= high)  # late hands count as negative
+
+
+def _amplitude_names(effect):
+    return {n for term in catalogue() if term.effect.name == effect and len(term.effect.amplitudes) == 1 for n in term.effect.amplitudes}
+
+
+def _gain(part):
+    """Error on ``part`` that the answers remove, over what who was told removes, summed over cases in which that is something."""
+
+    def gained(answer):
+        one = ((answer or {}).get("fit") or {}).get(part) or {}
+        if one.get("baseline") is None:
+            return None
+        return one["baseline"] - (one["baseline"] if one.get("extended") is None else one["extended"])
+
+    def statistic(rows):
+        pairs = [(gained(r.answer), gained(r.ceiling), r.ceiling["fit"][part]["baseline"]) for r in rows if gained(r.ceiling) is not None]
+        pairs = [(g or 0.0, most) for g, most, baseline in pairs if most > CLOSABLE * baseline]
+        return sum(g for g, _ in pairs) / sum(most for _, most in pairs) if pairs else float("nan")
+
+    statistic.by_case = True
+    return statistic
+
+
+def _pair_f1(row):
+    said = {row.answer["effect"], *row.answer["alternatives"][:1]} if row.named else set()
+    return overlap(said, row.truths)
+
+
+# --- tables -------------------------------------------------------------------------------------------------------------------------
+
+
+def grids(rows: Sequence[Row]) -> list[Grid]:
+    """Power by size and by what was foreseen, names by effect, body and engine, calibration, and what was said for what."""
+    effects = [r for r in rows if r.kind == "effect"]
+    sizes = [(f"{s:g}", [r for r in effects if size_of(r) == s]) for s in SIZES]
+    bands = ((0, 0.5), (0.5, 1), (1, 2), (2, 4), (4, np.inf))
+    known = [(r, r.foreseen) for r in effects]
+    foreseen = [(f"{a:g} to {b:g}" if np.isfinite(b) else f"over {a:g}", [r for r, f in known if a <= f < b]) for a, b in bands]
+    foreseen.append(("not known", [r for r, f in known if not np.isfinite(f)]))
+    return [
+        _power("Power by size, over what a twin of a sound body is off by", "size", sizes),
+        _power("Power by size, over the smallest that the answer says would have stood out", "size", foreseen),
+        _power("By effect", "effect", _groups(effects, lambda r: r.truth)),
+        _parts("By body", "body", _groups(rows, lambda r: r.label["object"])),
+        _parts("By engine", "engine", _groups(rows, lambda r: str(r.label.get("simulated_by", "-")))),
+        _parts("By control", "control", _groups([r for r in rows if r.kind == "control"], lambda r: r.label["control"])),
+        _reliability(rows),
+        _confusion(rows),
+    ]
+
+
+def _groups(rows, key):
+    names = sorted({key(r) for r in rows})
+    return [(name, [r for r in rows if key(r) == name]) for name in names]
+
+
+def _interval(hits):
+    hits = list(hits)
+    if not hits:
+        return "-"
+    low, high = clopper_pearson(sum(hits), len(hits))
+    return f"{sum(hits)} of {len(hits)} ({low:.2f} to {high:.2f})"
+
+
+def _power(title, what, groups):
+    rows = [
+        (name, str(len(some)), *(_interval([bool(hit(r)) for r in some]) for hit in _HITS))
+        for name, some in groups
+        if some or what == "size"
+    ]
+    return Grid(title, (what, "cases", "found", "named first", "or one of two", "named wrong"), tuple(rows))
+
+
+_HITS = (lambda r: r.alarm, lambda r: r.first, lambda r: r.of_two, lambda r: r.named and not r.first)
+
+
+def _parts(title, what, groups):
+    rows = []
+    for name, some in groups:
+        controls, effects = ([r for r in some if r.kind == kind] for kind in ("control", "effect"))
+        alarms = _interval([r.alarm for r in controls])
+        rows.append((name, str(len(some)), alarms, _interval([r.alarm for r in effects]), _interval([r.first for r in effects])))
+    return Grid(title, (what, "cases", "false alarms", "effects found", "named first"), tuple(rows))
+
+
+def _reliability(rows):
+    bins = calibration_bins(*_confidence(rows)) if rows else []
+    cells = tuple((f"{a:.1f} to {b:.1f}", str(n), f"{c:.2f}", f"{r:.2f}") for a, b, n, c, r in bins)
+    return Grid("Calibration: the likeliest reading", ("probability", "cases", "mean", "right"), cells)
+
+
+def _confusion(rows):
+    """Truth by what was said, most frequent first."""
+    table: dict[str, Counter] = {}
+    for r in rows:
+        true = NONE if r.kind == "control" else f"outside: {r.label['effect']}" if r.kind == "outside" else r.truth
+        table.setdefault(true, Counter())[r.said] += 1
+    cells = tuple((true, str(sum(c.values())), ", ".join(f"{n} {k}" for n, k in c.most_common())) for true, c in sorted(table.items()))
+    return Grid("What was said of what", ("concealed", "cases", "said"), cells)

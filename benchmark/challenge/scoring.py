@@ -1,0 +1,165 @@
+"""Scoring an opened set: everybody's figures beside each other, and the whole story of one answerer."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from ...datasets.concealed.make import Folder
+from ...datasets.concealed.seal import write_json
+from ..cache import replacing
+from .opening import answered, checked_answers, opened_labels, standing
+from .rivals.base import FAILED
+from .scores import Figure, Grid, figures, grids, with_floors
+from .statistics import mcnemar
+from .truths import Row
+
+__all__ = ["Scored", "markdown", "score_set", "terminal", "write_scores"]
+
+JUDGE = "diagnosis"  # whose controls say what a twin of a sound body is off by, for all rivals alike
+CEILING = "oracle"
+# figures of everybody's table
+COMPARED = (
+    *("false alarms", "effects found", "named first at twice the floor, macro", "named or one of two at twice the floor, macro"),
+    *("named wrong", "place F1", "amplitude, error", "share of the oracle's gain, heldout", "share of the oracle's gain, transfer"),
+    *("catalogued against outside, area under the curve", "outside yet named", "calibration error"),
+)
+Scored = Mapping[str, tuple[dict, list[Row], list[Figure]]]
+
+
+def score_set(root: str | Path) -> Scored:
+    """By rival: its standing (confirmatory or exploratory, and why), a row for every case, its figures.
+
+    Labels and answers are checked once more. A case without an answer counts as one that refused. Raises ValueError where the set is still
+    sealed, nothing was answered, or anything is not what was published.
+    """
+    folder = Folder(Path(root))
+    labels = opened_labels(folder)
+    checked = {rival: checked_answers(folder, rival) for rival in answered(folder)}
+    if not checked:
+        raise ValueError(f"{folder.root}: nobody has answered; twinbench challenge answer {folder.root}")
+    told = checked.get(CEILING, ({}, {}))[1]
+
+    def rows(answers):
+        return [Row(name, label, answers.get(name, FAILED), told.get(name)) for name, label in labels.items()]
+
+    judge = rows(checked[JUDGE if JUDGE in checked else next(iter(checked))][1])
+    scored = {}
+    for rival, (manifest, answers) in checked.items():
+        own = with_floors(rows(answers), judge)
+        scored[rival] = standing(folder, rival, manifest), own, figures(own)
+    return scored
+
+
+def compared(scored: Scored) -> Grid:
+    """Everybody's main figures; and how likely a difference in right names from the first rival is by chance (McNemar)."""
+    first = next(iter(scored))
+    by_name = {rival: {f.name: f for f in found} for rival, (_, _, found) in scored.items()}
+    header = ("figure", *scored)
+    rows = [(name, *(_value(by_name[rival][name]) for rival in scored)) for name in COMPARED]
+
+    def right(rival):
+        return [r.first for r in scored[rival][1] if r.kind == "effect"]
+
+    rows.append((f"names differ from {first}, p", *("-" if r == first else f"{mcnemar(right(first), right(r)):.3f}" for r in scored)))
+    rows.append(("status", *(scored[rival][0]["status"] for rival in scored)))
+    return Grid("Everybody", header, tuple(rows))
+
+
+def story(found: Sequence[Figure], name: str) -> Grid:
+    """All figures of one answerer, with intervals, goals, and by how much a goal is missed."""
+    header = ("figure", "value", "95 % interval", "cases", "goal", "")
+    rows = []
+    for f in found:
+        goal = "" if f.goal is None else f"{'at least' if f.better == 'higher' else 'at most'} {f.goal:g}"
+        verdict = {None: "", True: "reached", False: f"missed by {abs(f.value - (f.goal or 0)):.2f}"}[f.reached]
+        rows.append((f.name, _value(f), _range(f), str(f.cases), goal, verdict))
+    return Grid(f"All figures: {name}", header, tuple(rows))
+
+
+def _value(f: Figure) -> str:
+    return _number(f.value, f.unit) + (f" {_shown(f.unit)}" if _shown(f.unit) and np.isfinite(f.value) else "")
+
+
+def _range(f: Figure) -> str:
+    return f"{_number(f.low, f.unit)} to {_number(f.high, f.unit)}" if np.isfinite(f.low) and np.isfinite(f.high) else ""
+
+
+def _number(value, unit):
+    if not np.isfinite(value):
+        return "-"
+    return f"{1000 * value:.1f}" if unit == "m" else f"{value:.1f}" if unit in ("s", "frames") else f"{value:.3f}"
+
+
+def _shown(unit):
+    return {"m": "mm", "share": ""}.get(unit, unit)
+
+
+def tables(scored: Scored) -> list[Grid]:
+    """Everybody, then the first answerer at length."""
+    first = next(iter(scored))
+    _, rows, found = scored[first]
+    return [compared(scored), story(found, first), *grids(rows)]
+
+
+def terminal(scored: Scored) -> str:
+    """The tables as aligned text."""
+    parts = []
+    for grid in tables(scored):
+        widths = [max(map(len, column)) for column in zip(grid.header, *grid.rows, strict=True)]
+        lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (grid.header, *grid.rows)]
+        rule = "-" * max(map(len, lines))
+        parts.append("\n".join([grid.title, rule, lines[0], rule, *lines[1:], rule]))
+    return "\n\n".join([*parts, *_standings(scored)])
+
+
+def markdown(scored: Scored) -> str:
+    """The tables in Markdown."""
+    parts = []
+    for grid in tables(scored):
+        head = [grid.header, ("---",) * len(grid.header)]
+        parts.append("\n".join([f"## {grid.title}", "", *("| " + " | ".join(row) + " |" for row in (*head, *grid.rows))]))
+    return "\n\n".join([*parts, "\n".join(f"- {line}" for line in _standings(scored))]) + "\n"
+
+
+def _standings(scored):
+    return [
+        f"{rival}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else "")
+        for rival, (status, _, _) in scored.items()
+    ]
+
+
+def write_scores(scored: Scored, out: str | Path) -> list[Path]:
+    """Write ``score.md``, ``score.csv`` (a line for every figure of every rival) and ``score.json``, each in one rename."""
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO()
+    lines = [{"rival": rival, "status": status["status"], **_plain(f)} for rival, (status, _, found) in scored.items() for f in found]
+    writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    for name, content in (("score.md", markdown(scored)), ("score.csv", text.getvalue())):
+        with replacing(out / name) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+    rivals = {rival: {"standing": status, "figures": [_plain(f) for f in found]} for rival, (status, _, found) in scored.items()}
+    cases = [
+        {"case": r.name, "rival": rival, "kind": r.kind, "truth": r.truth, "said": r.said, "verdict": r.verdict}
+        | {"right": r.first, "size": _finite(r.ratio)}
+        for rival, (_, rows, _) in scored.items()
+        for r in rows
+    ]
+    write_json(out / "score.json", {"rivals": rivals, "cases": cases, "tables": [asdict(g) for g in tables(scored)]})
+    return [out / "score.md", out / "score.csv", out / "score.json"]
+
+
+def _plain(figure):
+    return {k: _finite(v) if isinstance(v, float) else v for k, v in asdict(figure).items()} | {"reached": figure.reached}
+
+
+def _finite(value):
+    return float(value) if np.isfinite(value) else None
