@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+sys.path.insert(0, str(Path(__file__).with_name("helpers")))  # of the tests, and no part of the package
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
@@ -28,3 +29,14 @@ def recordings(tmp_path_factory):
     out = tmp_path_factory.mktemp("recordings")
     subprocess.run([sys.executable, str(unpack), str(out)], check=True)
     return out
+
+
+@pytest.fixture
+def browser(tmp_path):
+    """Opens a page without a screen, with a probe run after its scripts: see ``helpers/pages.py``."""
+    from pages import Browser
+
+    found = Browser(tmp_path)
+    if found.program is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    return found

@@ -2,19 +2,17 @@
 
 import base64
 import json
-import os
 import re
 import shutil
-import subprocess
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import partial
-from html.parser import HTMLParser
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+from pages import Document
 from twinbench.benchmark.cache import Cache
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.opening import Opened, open_recordings
@@ -138,29 +136,6 @@ def recording(name):
         split=Split(TRAIN, COUNT),
         tracks=points[:, :3],
     )
-
-
-class Document(HTMLParser):
-    """What a browser would find: text outside scripts, the content of scripts by id, elements and their attributes."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.scripts, self.text, self.elements, self.inside = {}, "", [], None
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.elements.append((tag, dict(attrs)))
-        self.inside = dict(attrs).get("id", "") if tag in ("script", "style") else None
-
-    def handle_endtag(self, tag):
-        self.inside = None
-
-    def handle_data(self, data):
-        if self.inside is None:
-            self.text += data
-        else:
-            self.scripts[self.inside] = self.scripts.get(self.inside, "") + data
 
 
 def ran(opened, folder, use, names, *, seeds=(0,)):
@@ -371,29 +346,6 @@ def test_the_command_writes_it(tmp_path, monkeypatch, capsys):
 
 
 # The page in a browser ------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def browser(tmp_path):
-    """Opens a page without a screen, with ``probe`` run after its scripts: its root's data, what the console said, the document."""
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-    if program is None:
-        pytest.skip("no chromium here: apt-get install chromium")
-    quiet = ["--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic"]
-
-    def opened(path, probe="", width=1200):
-        source = re.sub(r"<meta http-equiv.*?>\n", "", path.read_text(encoding="utf-8")) if probe else path.read_text(encoding="utf-8")
-        page = tmp_path / "page.html"
-        page.write_text(source.replace("</body>", f"<script>{probe}</script></body>") if probe else source, encoding="utf-8")
-        command = [program, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", *quiet]
-        command += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=2000", f"--window-size={width},900", "--dump-dom"]
-        environment = {**os.environ, "HOME": str(tmp_path)}
-        done = subprocess.run([*command, page.as_uri()], capture_output=True, text=True, timeout=120, env=environment)
-        document = Document(done.stdout)
-        said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-        return document.elements[0][1], said, document
-
-    return opened
 
 
 @pytest.mark.parametrize("which", ["sample", "bare"])

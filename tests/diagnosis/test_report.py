@@ -4,16 +4,13 @@ import base64
 import copy
 import json
 import math
-import os
 import re
-import shutil
-import subprocess
 import tomllib
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import Document
 from twinbench.datasets.collection import open_collection
 from twinbench.diagnosis.page.arrays import thin, view
 from twinbench.diagnosis.page.words import EFFECTS, VERDICTS, extent, headline, improvement, less, number
@@ -105,29 +102,6 @@ def without(result, *names):
     for name in names:
         result[name] = None
     return result
-
-
-class Document(HTMLParser):
-    """What a browser would find: text outside scripts, the content of scripts by id, elements and their attributes."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.scripts, self.text, self.elements, self.inside = {}, "", [], None
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.elements.append((tag, dict(attrs)))
-        self.inside = dict(attrs).get("id", "") if tag in ("script", "style") else None
-
-    def handle_endtag(self, tag):
-        self.inside = None
-
-    def handle_data(self, data):
-        if self.inside is None:
-            self.text += data
-        else:
-            self.scripts[self.inside] = self.scripts.get(self.inside, "") + data
 
 
 def written(tmp_path, result, evidence):
@@ -339,40 +313,18 @@ def test_numbers_in_words():
 # The page in a browser ------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def browser(tmp_path):
-    """Opens a page without a screen: its state after its scripts have run, and what they said on the console."""
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
-    if program is None:
-        pytest.skip("no chromium here: apt-get install chromium")
-    quiet = ["--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--disable-quic"]
-
-    def opened(path):
-        profile = f"--user-data-dir={tmp_path / 'profile'}"
-        command = [program, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", *quiet, profile]
-        environment = {**os.environ, "HOME": str(tmp_path)}
-        call = [*command, "--virtual-time-budget=2000", "--dump-dom", path.as_uri()]
-        done = subprocess.run(call, capture_output=True, text=True, timeout=120, env=environment)
-        said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-        return Document(done.stdout).elements[0][1].get("data-state"), said, done.stdout
-
-    return opened
-
-
 def opened_with(browser, tmp_path, result, evidence, *, probe=""):
-    """The state of the written page; ``probe`` is script that runs after its own."""
+    """The state of the written page, what it said on the console, and its document; ``probe`` is script that runs after its own."""
     path = tmp_path / "report.html"
     write_report(result, evidence, path)
-    if probe:
-        source = re.sub(r"<meta http-equiv.*?>\n", "", path.read_text(encoding="utf-8"))
-        path.write_text(source.replace("</body>", f"<script>{probe}</script></body>"), encoding="utf-8")
-    return browser(path)
+    root, said, document = browser(path, probe)
+    return root.get("data-state"), said, document
 
 
 def test_the_page_draws_without_error(diagnosed, tmp_path, browser):
-    state, said, dom = opened_with(browser, tmp_path, *diagnosed)
+    state, said, document = opened_with(browser, tmp_path, *diagnosed)
     assert state == "drawn" and said == []
-    assert "plush_lift (transfer)" in dom and "Mean track error at frame" in dom
+    assert "plush_lift (transfer)" in document.text and "Mean track error at frame" in document.text
 
 
 def test_the_browser_test_notices_an_error(diagnosed, tmp_path, browser):
@@ -394,9 +346,9 @@ def test_every_control_works(diagnosed, tmp_path, browser):
     document.getElementById('frame').dispatchEvent(new Event('input'));
     document.documentElement.dataset.frame = document.getElementById('now').textContent;
     """
-    state, said, dom = opened_with(browser, tmp_path, *diagnosed, probe=probe)
+    state, said, document = opened_with(browser, tmp_path, *diagnosed, probe=probe)
     assert state == "drawn" and said == []
-    assert Document(dom).elements[0][1]["data-frame"] == "20 / 47"
+    assert document.elements[0][1]["data-frame"] == "20 / 47"
 
 
 @pytest.mark.parametrize("lost", ["extended", "baseline", "controllers", "force", "observed", "curves", "recordings", "up", "ground"])
