@@ -63,6 +63,7 @@ class _Learner:
         leaves = [self.log_stiffness, *self.log_pull, *self.contact.values(), *self.log_damping.values()]
         fused = torch.device(device).type == "cuda"  # one kernel for all leaves
         self.optimiser = torch.optim.Adam(leaves, lr=config.rate, betas=(0.9, 0.99), fused=fused)
+        self._batch, self._steps = None, None
 
     def _leaf(self, value):
         return torch.tensor(np.asarray(value), dtype=torch.float32, device=self.device, requires_grad=True)
@@ -84,9 +85,7 @@ class _Learner:
 
     def epoch(self) -> float:
         """One pass over the train frames, the parameters moving as it goes; the mean of the losses met, not finite where one was not."""
-        systems = [system(b, place, self.config) for b, place in zip(self.bodies(), self.places, strict=True)]
-        substeps, dt = time_step(systems, self.places[0].fps, self.config)
-        batch = Batch(systems, fps=self.places[0].fps, substeps=substeps, dt=dt, device=self.device)
+        batch = self._made()
         window = 1 if self.config.quirks.frame_gradients else self.config.window
         x, v, memory, met = batch.inputs.x, batch.inputs.v, batch.inputs.memory, []
         for frame in range(0, self.frames - 1, window):
@@ -101,6 +100,16 @@ class _Learner:
             self.optimiser.step()
             met.append(loss.detach())  # not read before the end: a GPU need not wait for Python after each frame
         return float(torch.stack(met).double().mean())
+
+    def _made(self) -> Batch:
+        """The recordings' batch, the same again unless what has been learned asks for other substeps."""
+        fps, config = self.places[0].fps, self.config
+        if self._batch is None or not config.quirks.long_frame:
+            systems = [system(b, place, config) for b, place in zip(self.bodies(), self.places, strict=True)]
+            steps = time_step(systems, fps, config)
+            if steps != self._steps:
+                self._batch, self._steps = Batch(systems, fps=fps, substeps=steps[0], dt=steps[1], device=self.device), steps
+        return self._batch
 
     def _stiffness(self):
         springs = [part for pull in self.log_pull for part in (self.log_stiffness, pull)]
