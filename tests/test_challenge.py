@@ -1,12 +1,22 @@
 """The sealed challenge: the same seed gives the same set, nothing tells what is concealed, and nothing can be changed unnoticed."""
 
+import ast
+import csv
 import hashlib
 import json
 import os
 import pickle
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
+from twinbench.benchmark.challenge import answering, opening, scoring
+from twinbench.benchmark.challenge.answering import answer_set
+from twinbench.benchmark.challenge.opening import open_set
+from twinbench.benchmark.challenge.rivals.base import Rival, answer
+from twinbench.benchmark.challenge.scoring import score_set
+from twinbench.benchmark.cli import main
 from twinbench.datasets import safe_pickle
 from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
@@ -18,6 +28,7 @@ from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, pla
 from twinbench.datasets.concealed.seal import Ledger, canonical, digest, folder_digest, salt_of, sealed, seed_of
 from twinbench.datasets.scenario import Scenario, Split
 
+ROOT = Path(__file__).resolve().parents[1]
 TINY = Preset(controls=3, levels=(1.0, 2.0), outside=1, pairs=1, effects=2)
 
 
@@ -274,3 +285,244 @@ def test_the_classifier_finds_a_leak(tmp_path, leak):
 def test_an_audit_of_one_kind_is_refused(tmp_path):
     with pytest.raises(ValueError, match="cases of both kinds"):
         audit({"a": tmp_path}, {"a": True})
+
+
+# --- answering, opening, scoring --------------------------------------------------------------------------------------------------------
+
+
+class Guess(Rival):
+    """Says by how far the points go whether something is there: it moves 5 cm farther where there is."""
+
+    name = "guess"
+
+    def answer(self, given):
+        far = np.ptp(given.fit.points[..., 0].mean(axis=1))
+        said = answer("named", "wind", where={"points": [0], "centroid": [0.0, 0.0, 0.0], "radius": 0.01}, when={"frames": [0, 10]})
+        errors = {part: {"baseline": 0.01, "extended": None, "noise_floor": 0.001} for part in ("train", "heldout", "transfer")}
+        return (said if far > 0.125 else answer("adequate")) | {"fit": errors}
+
+
+class Told(Guess):
+    """Knows."""
+
+    name, told = "told", True
+
+    def answer(self, given):
+        assert given.label is not None
+        return answer("adequate") if given.label["kind"] == "control" else answer("unknown")
+
+
+class Broken(Guess):
+    """Fails."""
+
+    name = "broken"
+
+    def answer(self, given):
+        raise RuntimeError("out of ideas")
+
+
+FAKES = {rival.name: rival for rival in (Guess(), Told(), Broken())}
+
+
+@pytest.fixture
+def rivals(monkeypatch):
+    for module in (answering, opening):
+        monkeypatch.setattr(module, "rivals", lambda: FAKES)
+    monkeypatch.setattr(answering, "commit", lambda: "c" * 40)
+    monkeypatch.setattr(scoring, "JUDGE", "guess")
+
+
+@pytest.fixture
+def challenge(tmp_path, rivals):
+    make(tmp_path / "set", preset=MANY, seed="z", engines=("mujoco",))
+    return Folder(tmp_path / "set")
+
+
+def test_answers_are_given_without_the_labels(challenge):
+    shutil.rmtree(challenge.kept)  # not there, so nobody reads them
+    roots = answer_set(challenge.root, names=("guess",))
+    manifest = json.loads((challenge.root / "answers" / "guess" / "sealed.json").read_text())
+    assert set(manifest["answers"]) == set(challenge.published()["cases"]) and manifest["root"] == roots["guess"]
+    assert [e["event"] for e in challenge.ledger.read()] == ["made", "answered"]
+    answers = [json.loads((challenge.root / "answers" / "guess" / f"{name}.json").read_text()) for name in manifest["answers"]]
+    assert {a["verdict"] for a in answers} == {"adequate", "missing"} and all(a["by"]["commit"] == "c" * 40 for a in answers)
+
+
+def test_the_diagnosis_imports_nothing_of_those_who_conceal():
+    """Neither directly nor through anything that it imports, at the top of a file or inside a function."""
+    graph = {file: set(modules_of(file)) for room in ("datasets", "metrics", "physics", "methods", "diagnosis") for file in files_of(room)}
+    seen, todo = set(), list(files_of("diagnosis"))
+    while todo:
+        file = todo.pop()
+        if file not in seen:
+            seen.add(file)
+            todo += graph[file]
+    reached = {str(file.relative_to(ROOT)) for file in seen}
+    assert "datasets/scenario.py" in reached and "physics/batch.py" in reached  # it does follow imports
+    assert not [file for file in reached if file.startswith(("datasets/concealed/", "datasets/synthetic/", "benchmark/"))]
+
+
+def files_of(room):
+    return sorted((ROOT / room).rglob("*.py"))
+
+
+def modules_of(file):
+    """Files of this package that ``file`` imports."""
+    package = file.relative_to(ROOT).parent.parts
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
+            for parts in (base, *([*base, alias.name] for alias in node.names)):
+                for found in (ROOT.joinpath(*parts).with_suffix(".py"), ROOT.joinpath(*parts, "__init__.py")):
+                    if parts and found.is_file():
+                        yield found
+
+
+def test_answers_are_kept_and_a_failure_is_an_answer(challenge, capsys):
+    before = answer_set(challenge.root, names=("guess", "broken"))
+    said = []
+    assert answer_set(challenge.root, names=("guess", "broken"), progress=said.append) == before and not said
+    assert [e["event"] for e in challenge.ledger.read()] == ["made", "answered", "answered"]  # nothing new, nothing entered
+    failed = json.loads((challenge.root / "answers" / "broken" / "case_000.json").read_text())
+    assert failed["verdict"] == "failed" and failed["error"] == "RuntimeError: out of ideas"
+    with pytest.raises(ValueError, match="unknown rival 'gues'; did you mean 'guess'"):
+        answer_set(challenge.root, names=("gues",))
+    with pytest.raises(ValueError, match="is still sealed"):
+        answer_set(challenge.root, names=("told",))
+
+
+def test_opening_is_written_down_and_what_comes_later_is_exploratory(challenge):
+    with pytest.raises(ValueError, match="is still sealed"):
+        score_set(challenge.root)
+    answer_set(challenge.root, names=("guess",))
+    entry = open_set(challenge.root)
+    assert entry["rivals"]["guess"]["status"] == "confirmatory"
+    labels = json.loads((challenge.root / "opened" / "labels.json").read_text())
+    published = challenge.published()["cases"]
+    assert all(sealed(one["label"], one["salt"]) == published[name]["label"] for name, one in labels.items())  # anybody can check
+    answer_set(challenge.root, names=("broken", "told"))
+    again = open_set(challenge.root)["rivals"]
+    assert again["guess"]["status"] == "confirmatory"
+    assert (again["broken"]["status"], again["broken"]["why"]) == (
+        "exploratory",
+        "the set had been opened before these answers were sealed",
+    )
+    assert (again["told"]["status"], again["told"]["why"]) == ("exploratory", "was told the labels")
+    events = [e["event"] for e in challenge.ledger.read()]
+    assert events == ["made", "answered", "opened", "answered", "answered", "opened"]
+    # a second run on the opened set, with another answer
+    spoil(challenge.root / "answers" / "guess" / "case_000.json", lambda v: v.update(verdict="unknown", effect=None))
+    answer_set(challenge.root, names=("guess",))
+    status = score_set(challenge.root)["guess"][0]
+    assert (status["status"], status["why"]) == ("exploratory", "the set had been opened before these answers were sealed")
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_only_the_frozen_tool_is_tested(tmp_path, rivals, late, monkeypatch):
+    commit = "c" * 40
+    make(tmp_path, preset=TINY, seed=seed_of(commit, "round 7"), engines=("mujoco",), origin={"commit": commit, "beacon": "round 7"})
+    if late:
+        monkeypatch.setattr(answering, "commit", lambda: "d" * 40)
+    answer_set(tmp_path, names=("guess",))
+    status = open_set(tmp_path)["rivals"]["guess"]
+    assert status["status"] == ("exploratory" if late else "confirmatory")
+    assert not late or "not by the frozen cccccccccccc" in status["why"]
+
+
+def spoil(file, change):
+    value = json.loads(file.read_text())
+    change(value)
+    file.write_text(json.dumps(value))
+
+
+SPOILT = {
+    "a recording": (lambda f: (f.cases / "case_003" / "transfer" / "split.json").write_text("{}"), "case_003: is not what was published"),
+    "a further file": (lambda f: (f.cases / "case_003" / "notes.txt").write_text("wind"), "case_003: is not what was published"),
+    "a label": (lambda f: spoil(f.kept / "case_002.json", lambda v: v["label"].update(kind="outside")), "the label's hash differs"),
+    "a salt": (lambda f: spoil(f.kept / "case_002.json", lambda v: v.update(salt="0" * 64)), "the label's hash differs"),
+    "an answer": (
+        lambda f: spoil(f.root / "answers" / "guess" / "case_001.json", lambda v: v.update(verdict="unknown")),
+        "case_001.json: is not what was sealed",
+    ),
+    "an answer that is gone": (
+        lambda f: (f.root / "answers" / "guess" / "case_001.json").unlink(),
+        "case_001.json: is not what was sealed",
+    ),
+    "an answer and its hash": (lambda f: reseal(f), "is not what the ledger says was sealed last"),
+    "the manifest": (lambda f: spoil(f.manifest, lambda v: v["cases"].pop("case_004")), "manifest.json: was changed"),
+    "the manifest and its root": (lambda f: republish(f), "is not the manifest that the ledger says was published"),
+    "the ledger": (
+        lambda f: f.ledger.file.write_text(f.ledger.file.read_text().replace('"made"', '"mode"')),
+        "the chain of hashes is broken",
+    ),
+}
+
+
+def reseal(folder):
+    """Change an answer and its seal so that they fit each other."""
+    answer_file, seal_file = (folder.root / "answers" / "guess" / name for name in ("case_001.json", "sealed.json"))
+    spoil(answer_file, lambda v: v.update(verdict="unknown"))
+    seal = json.loads(seal_file.read_text())
+    seal["answers"]["case_001"] = digest(json.loads(answer_file.read_text()))
+    seal_file.write_text(json.dumps(seal | {"root": digest({k: v for k, v in seal.items() if k != "root"})}))
+
+
+def republish(folder):
+    manifest = json.loads(folder.manifest.read_text())
+    manifest["cases"].pop("case_004")
+    folder.manifest.write_text(json.dumps(manifest | {"root": digest({k: v for k, v in manifest.items() if k != "root"})}))
+
+
+@pytest.mark.parametrize("what", SPOILT)
+def test_whatever_is_changed_is_found_and_nothing_is_opened(challenge, what, capsys):
+    answer_set(challenge.root, names=("guess",))
+    change, says = SPOILT[what]
+    change(challenge)
+    assert main(["challenge", "open", str(challenge.root)]) == 2
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1
+    assert not (challenge.root / "opened").exists()
+    assert "opened" not in challenge.ledger.file.read_text()
+
+
+def test_what_is_changed_after_the_opening_is_not_scored(challenge):
+    answer_set(challenge.root, names=("guess",))
+    open_set(challenge.root)
+    spoil(challenge.root / "opened" / "labels.json", lambda v: v["case_000"]["label"].update(kind="control", effect=None))
+    spoil(challenge.root / "opened" / "labels.json", lambda v: v["case_001"]["label"].update(kind="control", effect=None))
+    with pytest.raises(ValueError, match="is not what was published: its hash differs"):
+        score_set(challenge.root)
+
+
+def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):
+    monkeypatch.setitem(PRESETS, "quick", MANY)
+    folder = tmp_path / "set"
+    assert main(["challenge", "make", "--out", str(folder), "--seed", "z"]) == 0
+    assert main(["challenge", "answer", str(folder), "--rivals", "guess"]) == 0
+    assert main(["challenge", "open", str(folder)]) == 0
+    assert main(["challenge", "answer", str(folder), "--rivals", "told"]) == 0
+    capsys.readouterr()
+    assert main(["challenge", "score", str(folder)]) == 0
+    said = capsys.readouterr().out
+    root = Folder(folder).published()["root"]
+    assert "false alarms, 95 % bound" in said and "guess: confirmatory, 24 answers" in said and "told: exploratory" in said
+    assert sorted(p.name for p in (folder / "score").iterdir()) == ["score.csv", "score.json", "score.md"]
+    told = json.loads((folder / "score" / "score.json").read_text())
+    figures = {f["name"]: f for f in told["rivals"]["guess"]["figures"]}
+    # it never errs on controls, and it knows one name only
+    assert figures["false alarms"]["value"] == 0 and figures["false alarms"]["cases"] == 12
+    assert figures["false alarms, 95 % bound"]["value"] == pytest.approx(1 - 0.05 ** (1 / 12))
+    assert figures["effects found"]["value"] == 1 and len(told["cases"]) == 48
+    rows = list(csv.DictReader((folder / "score" / "score.csv").open()))
+    assert {r["rival"] for r in rows} == {"guess", "told"} and {r["name"] for r in rows} == set(figures)
+    assert root == Folder(folder).published()["root"]
+    for wrong, says in (
+        (["make", "--out", str(folder)], "--seed or from --beacon"),
+        (["make", "--out", str(folder), "--seed", "a", "--beacon", "b"], "--seed or from --beacon"),
+        (["make", "--out", str(folder), "--seed", "other"], "another seed or plan"),
+        (["answer", str(folder), "--preset", "fast"], "unknown preset 'fast'"),
+        (["answer", str(tmp_path / "none")], "no manifest.json here"),
+        (["scores", str(folder)], "unknown command 'scores'; did you mean 'score'"),
+    ):
+        assert main(["challenge", *wrong]) == 2
+        assert says in capsys.readouterr().err

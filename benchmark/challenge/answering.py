@@ -70,11 +70,10 @@ def answer_set(
     rival, recordings that are not those that were published, or a told rival on a set that is still sealed.
     """
     folder = Folder(Path(root))
-    known = rivals()
+    published, known = folder.published(), rivals()
     for name in names:
         if name not in known:
             raise ValueError(f"unknown rival {name!r}; {nearest(name, known)}")
-    published = folder.published()
     cases = list(published["cases"])
     for name in cases:
         check_recordings(folder, name, published)

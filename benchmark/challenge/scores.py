@@ -1,4 +1,4 @@
-"""Every figure by which an answerer of the challenge is judged, with its uncertainty; and the tables behind them."""
+"""Every figure by which an answerer of the challenge is judged, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...diagnosis.hypotheses import catalogue
-from ...diagnosis.verdict import NONE, OTHER
+from ...diagnosis.verdict import OTHER
 from .statistics import (
     auroc,
     bootstrap,
-    calibration_bins,
     clopper_pearson,
     early_auroc,
     expected_calibration_error,
@@ -24,7 +23,7 @@ from .statistics import (
 )
 from .truths import Row, amplitude
 
-__all__ = ["SIZES", "Figure", "Grid", "figures", "grids", "with_floors"]
+__all__ = ["SIZES", "Figure", "confidence", "figures", "size_of", "with_floors"]
 
 SIZES = (0.5, 1.0, 2.0, 4.0, 8.0)  # over the floor; a case belongs to the nearest, by ratio
 CLOSABLE = 0.05  # share of its error that who was told must close, so that there is something to close
@@ -50,15 +49,6 @@ class Figure:
         if self.goal is None or not np.isfinite(self.value):
             return None
         return bool(self.value >= self.goal if self.better == "higher" else self.value <= self.goal)
-
-
-@dataclass(frozen=True)
-class Grid:
-    """A table: a title, the names of its columns, and rows of text."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 def with_floors(rows: Sequence[Row], judge: Sequence[Row]) -> list[Row]:
@@ -123,9 +113,9 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
         _share("outside said to be unknown", [r.verdict == OTHER for r in outside]),
         _share("pairs, first name one of the two", [r.first for r in pairs]),
         _over("pairs, F1 of names", pairs, _mean(_pair_f1)),
-        _over("calibration error", rows, lambda some: expected_calibration_error(*_confidence(some)), better="lower"),
+        _over("calibration error", rows, lambda some: expected_calibration_error(*confidence(some)), better="lower"),
         _over("Brier score", rows, _mean(_brier), better="lower"),
-        _over("area under risk and coverage", rows, lambda some: risk_coverage(*_confidence(some)), better="lower"),
+        _over("area under risk and coverage", rows, lambda some: risk_coverage(*confidence(some)), better="lower"),
         _share("failed or missing answers", [r.verdict == "failed" for r in rows], better="lower"),
         _over("time of an answer", rows, _median(lambda r: r.answer.get("seconds")), unit="s", better="lower"),
     ]
@@ -194,7 +184,8 @@ def _openness(rows):
     return auroc([r.conviction for r in rows if r.kind == "effect"], [r.conviction for r in rows if r.kind == "outside"])
 
 
-def _confidence(rows):
+def confidence(rows: Sequence[Row]) -> tuple[list[float], list[bool]]:
+    """Probability of the likeliest reading of every case, and whether it is right."""
     return [r.likeliest[1] for r in rows], [r.likeliest[0] in r.truths for r in rows]
 
 
@@ -303,76 +294,3 @@ def _gain(part):
 def _pair_f1(row):
     said = {row.answer["effect"], *row.answer["alternatives"][:1]} if row.named else set()
     return overlap(said, row.truths)
-
-
-# --- tables -------------------------------------------------------------------------------------------------------------------------
-
-
-def grids(rows: Sequence[Row]) -> list[Grid]:
-    """Power by size and by what was foreseen, names by effect, body and engine, calibration, and what was said for what."""
-    effects = [r for r in rows if r.kind == "effect"]
-    sizes = [(f"{s:g}", [r for r in effects if size_of(r) == s]) for s in SIZES]
-    bands = ((0, 0.5), (0.5, 1), (1, 2), (2, 4), (4, np.inf))
-    known = [(r, r.foreseen) for r in effects]
-    foreseen = [(f"{a:g} to {b:g}" if np.isfinite(b) else f"over {a:g}", [r for r, f in known if a <= f < b]) for a, b in bands]
-    foreseen.append(("not known", [r for r, f in known if not np.isfinite(f)]))
-    return [
-        _power("Power by size, over what a twin of a sound body is off by", "size", sizes),
-        _power("Power by size, over the smallest that the answer says would have stood out", "size", foreseen),
-        _power("By effect", "effect", _groups(effects, lambda r: r.truth)),
-        _parts("By body", "body", _groups(rows, lambda r: r.label["object"])),
-        _parts("By engine", "engine", _groups(rows, lambda r: str(r.label.get("simulated_by", "-")))),
-        _parts("By control", "control", _groups([r for r in rows if r.kind == "control"], lambda r: r.label["control"])),
-        _reliability(rows),
-        _confusion(rows),
-    ]
-
-
-def _groups(rows, key):
-    names = sorted({key(r) for r in rows})
-    return [(name, [r for r in rows if key(r) == name]) for name in names]
-
-
-def _interval(hits):
-    hits = list(hits)
-    if not hits:
-        return "-"
-    low, high = clopper_pearson(sum(hits), len(hits))
-    return f"{sum(hits)} of {len(hits)} ({low:.2f} to {high:.2f})"
-
-
-def _power(title, what, groups):
-    rows = [
-        (name, str(len(some)), *(_interval([bool(hit(r)) for r in some]) for hit in _HITS))
-        for name, some in groups
-        if some or what == "size"
-    ]
-    return Grid(title, (what, "cases", "found", "named first", "or one of two", "named wrong"), tuple(rows))
-
-
-_HITS = (lambda r: r.alarm, lambda r: r.first, lambda r: r.of_two, lambda r: r.named and not r.first)
-
-
-def _parts(title, what, groups):
-    rows = []
-    for name, some in groups:
-        controls, effects = ([r for r in some if r.kind == kind] for kind in ("control", "effect"))
-        alarms = _interval([r.alarm for r in controls])
-        rows.append((name, str(len(some)), alarms, _interval([r.alarm for r in effects]), _interval([r.first for r in effects])))
-    return Grid(title, (what, "cases", "false alarms", "effects found", "named first"), tuple(rows))
-
-
-def _reliability(rows):
-    bins = calibration_bins(*_confidence(rows)) if rows else []
-    cells = tuple((f"{a:.1f} to {b:.1f}", str(n), f"{c:.2f}", f"{r:.2f}") for a, b, n, c, r in bins)
-    return Grid("Calibration: the likeliest reading", ("probability", "cases", "mean", "right"), cells)
-
-
-def _confusion(rows):
-    """Truth by what was said, most frequent first."""
-    table: dict[str, Counter] = {}
-    for r in rows:
-        true = NONE if r.kind == "control" else f"outside: {r.label['effect']}" if r.kind == "outside" else r.truth
-        table.setdefault(true, Counter())[r.said] += 1
-    cells = tuple((true, str(sum(c.values())), ", ".join(f"{n} {k}" for n, k in c.most_common())) for true, c in sorted(table.items()))
-    return Grid("What was said of what", ("concealed", "cases", "said"), cells)

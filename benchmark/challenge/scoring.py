@@ -13,9 +13,10 @@ import numpy as np
 from ...datasets.concealed.make import Folder
 from ...datasets.concealed.seal import write_json
 from ..cache import replacing
+from .grids import Grid, grids
 from .opening import answered, checked_answers, opened_labels, standing
 from .rivals.base import FAILED
-from .scores import Figure, Grid, figures, grids, with_floors
+from .scores import Figure, figures, with_floors
 from .statistics import mcnemar
 from .truths import Row
 
