@@ -12,7 +12,7 @@ import numpy as np
 __all__ = ["Contacts", "gaps"]
 
 SINK = 5e-5  # how far the table gives under a vertex that rests on it with its own weight alone [m]
-DAMPED = 0.3  # share of the critical damping of a vertex on its penalty spring
+DAMPED = 1.0  # share of the critical damping of a vertex on its penalty spring: a body of cloth or foam does not bounce
 
 
 class Contacts:
@@ -30,6 +30,10 @@ class Contacts:
         self.anchors = np.full((len(surfaces), len(mass), 3), np.nan)
         self.slipping = np.zeros((len(surfaces), len(mass)))  # [m/s]
         self.normal = np.zeros(len(mass))  # forces of the last step [N]
+
+    def touching(self, x):
+        """(V,) vertices that would be in contact at positions ``x``."""
+        return np.any([surface(x)[0] < self.radius for surface in self.surfaces], axis=0)
 
     def evaluate(self, x, before, dt):
         """Forces (V, 3) and stiffness blocks (V, 3, 3) at the end of a step from ``before`` to ``x``."""

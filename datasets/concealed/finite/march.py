@@ -1,6 +1,7 @@
 """Implicit time stepping: second-order backward differences (BDF2), each step solved by Newton's method.
 
-With x* = (4 x_n - x_(n-1)) / 3, v* alike and h = 2/3 of the step: x = x* + h v, v = v* + h a, M a = forces at the step's end.
+With x* = (4 x_n - x_(n-1)) / 3, v* alike and h = 2/3 of the step: x = x* + h v, v = v* + h a, M a = forces at the step's end. Vertices that
+touch something take Euler's backward step instead (x* = x_n, h the step): a rule with a memory would throw them back.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from ..motions import Script
 from .banded import Banded
 from .contact import Contacts, gaps
 from .continuum import Continuum
+from .layers import Layers
 from .rods import Rod, turned
 from .shells import Creases
 
@@ -48,6 +50,7 @@ class World:
         self.contacts = Contacts(surfaces, belts, body.mass, body.friction, body.radius, GRAVITY)
         self.rod = Rod(body, self.start) if body.dim == 1 else None
         self.parts = [] if body.dim == 1 else [Continuum(body)] + ([Creases(body)] if body.dim == 2 else [])
+        self.layers = Layers(body, GRAVITY) if body.layers and body.dim == 2 else None
         self._number()
 
     def _number(self):
@@ -123,9 +126,13 @@ class World:
 
     def step(self, targets: np.ndarray, external: np.ndarray) -> None:
         """Advance by ``dt``: held vertices to ``targets`` (G, 3) [m], under ``external`` forces (V, 3) [N]."""
-        dt, h = self.dt, 2 * self.dt / 3
-        ahead, swing = (4 * self.x - self.old[0]) / 3, (4 * self.v - self.old[1]) / 3
-        before = self.x
+        dt, before = self.dt, self.x
+        if self.layers:
+            self.layers.find(before)
+        touching = self._touching()[:, None]
+        h = np.where(touching, dt, 2 * dt / 3)
+        ahead = np.where(touching, self.x, (4 * self.x - self.old[0]) / 3)
+        swing = np.where(touching, self.v, (4 * self.v - self.old[1]) / 3)
         x = self._begin(ahead + h * swing, targets)
         frames = turned(self.frames, dt * self.spins)
         for hand, segments, rest in self.clamped:
@@ -156,7 +163,8 @@ class World:
                 frames = turned(frames, np.clip(change[count:].reshape(-1, 3), -0.5, 0.5))
             if size < EXACT:
                 break
-        self.reaction = np.where(self.held[:, None], force + push, 0)
+        # without the inertia of what is held: fingers that let it slip a little do not feel it throw itself about
+        self.reaction = np.where(self.held[:, None], force + external + self.mass[:, None] * self.gravity, 0)
         self._commit(x, frames, (x - ahead) / h, before)
 
     def _begin(self, guess, targets):
@@ -169,6 +177,11 @@ class World:
             return still
         return guess
 
+    def _touching(self):
+        """(V,) vertices that are in contact or soon will be."""
+        soon = self.contacts.touching(self.x) | self.contacts.touching(self.x + 1.5 * self.dt * self.v)
+        return soon | self.layers.touching(len(self.x)) if self.layers else soon
+
     def _rotary(self):
         return self.rod.inertia if self.rod else np.zeros(0)
 
@@ -179,6 +192,8 @@ class World:
         if self.rod:
             given += zip(*self.rod.evaluate(x, frames, self.dt), strict=True)
         given.append(self.contacts.evaluate(x, before, self.dt))
+        if self.layers:
+            self.layers.add(x, before, self.dt, *given[-1])
         for dofs, (force, block) in zip(self.dofs, given, strict=True):
             total += np.bincount(dofs.ravel(), force.ravel(), len(total))
             blocks.append(block)
