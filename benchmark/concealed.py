@@ -7,13 +7,14 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..diagnosis.verdict import CONTEXT, FEATURES, NONE, OTHER, Calibration, Reading, decide, scores, verdict_of
+from .challenge.answering import each
+from .challenge.truths import Row
 
 __all__ = ["answer", "answers", "by_effect", "calibrate", "crossed", "decided", "markdown", "score", "study", "thresholds"]
 
@@ -47,20 +48,10 @@ def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu"
             f"{data}: no case_*/fit and case_*/transfer here; write some with python -m twinbench.datasets.concealed --out {data}"
         )
     done = {c.name: json.loads((out / c.name / "diagnosis.json").read_text()) for c in cases if (out / c.name / "diagnosis.json").exists()}
-    todo = [c for c in cases if c.name not in done]
-    if jobs == 1:
-        for case in todo:
-            done[case.name] = answer(case, out, preset, device)
-            progress(f"{case.name}: {done[case.name]['verdict']} {done[case.name].get('effect') or ''}")
-        return dict(sorted(done.items()))
-    import multiprocessing
-
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        running = {pool.submit(answer, case, out, preset, device): case.name for case in todo}
-        for future in as_completed(running):
-            name = running[future]
-            done[name] = future.result()
-            progress(f"{name}: {done[name]['verdict']} {done[name].get('effect') or ''}")
+    todo = [(c, out, preset, device) for c in cases if c.name not in done]
+    for (case, *_), found in each(answer, todo, jobs=jobs):
+        done[case.name] = found
+        progress(f"{case.name}: {found['verdict']} {found.get('effect') or ''}")
     return dict(sorted(done.items()))
 
 
@@ -81,51 +72,40 @@ def _evidence(result):
 
 def truth(label: dict) -> str:
     """What a perfect answer says: "adequate", "unknown" for what is in no catalogue, or the effect."""
-    return NONE if label["kind"] == "control" else OTHER if label["kind"] == "outside" else label["effect"]
+    return Row("", label, {}).truth
 
 
 def score(results: dict[str, dict], labels: dict[str, dict]) -> dict:
     """Figures by the rules of the challenge: alarms on controls, effects found, names right first and among two, names for the nameless,
     place and onset of what was named rightly, and the share of the closable error that the named term removes on the transfer recording.
     """
-    rows = [(results[k], labels[k]) for k in sorted(results) if k in labels]
-    named = ("missing", "measurement", "ambiguous")
-    controls = [r for r, v in rows if v["kind"] == "control"]
-    effects = [(r, v) for r, v in rows if v["kind"] == "effect"]
-    outside = [r for r, v in rows if v["kind"] == "outside"]
-    found = [(r, v) for r, v in effects if r["verdict"] in (*named, OTHER)]
-    first = [(r, v) for r, v in effects if r["verdict"] in named and r["effect"] == v["effect"]]
-    two = [(r, v) for r, v in effects if r["verdict"] in named and v["effect"] in [r["effect"], *r["alternatives"]][:2]]
-    wrong = [(r, v) for r, v in effects if r["verdict"] in named and r["effect"] != v["effect"]]
-    ranked = [_rank(r, v["effect"]) for r, v in effects if "probabilities" in r]
-    places = [d for r, v in first if (d := _distance(r, v)) is not None]
-    onsets = [abs(r["when"]["frames"][0] - v["onset"][0]) for r, v in first if r.get("when") and v["onset"][0] is not None]
+    rows = [Row(k, labels[k], results[k]) for k in sorted(results) if k in labels]
+    controls, effects, outside = ([r for r in rows if r.kind == kind] for kind in ("control", "effect", "outside"))
+    first = [r for r in effects if r.first]
+    places = [d for r in first if (d := _distance(r.answer, r.label)) is not None]
+    began = [(r.answer["when"]["frames"][0], r.label["onset"][0]) for r in first if r.answer.get("when")]
+    onsets = [abs(said - true) for said, true in began if true is not None]
+    shares = [c for r in first if (c := closed(r.answer)) is not None]
     return {
         "cases": len(rows),
         "controls": len(controls),
-        "alarms": sum(r["verdict"] in (*named, OTHER) for r in controls),
-        "named_alarms": sum(r["verdict"] in named for r in controls),
+        "alarms": sum(r.alarm for r in controls),
+        "named_alarms": sum(r.named for r in controls),
         "effects": len(effects),
-        "found": len(found),
-        "named": len(first) + len(wrong),
+        "found": sum(r.alarm for r in effects),
+        "named": sum(r.named for r in effects),
         "right_first": len(first),
-        "right_of_two": len(two),
-        "wrong": len(wrong),
-        "ranked_first": sum(k == 1 for k in ranked),
-        "ranked_of_two": sum(k <= 2 for k in ranked),
+        "right_of_two": sum(r.of_two for r in effects),
+        "wrong": sum(r.named and not r.first for r in effects),
+        "ranked_first": sum(r.rank == 1 for r in effects),
+        "ranked_of_two": sum(r.rank <= 2 for r in effects),
         "outside": len(outside),
-        "outside_named": sum(r["verdict"] in ("missing", "measurement") for r in outside),
+        "outside_named": sum(r.named and r.verdict != "ambiguous" for r in outside),
         "place_mm": 1000 * float(np.median(places)) if places else None,
         "onset_frames": float(np.median(onsets)) if onsets else None,
-        "closed": float(np.median([c for r, _ in first if (c := closed(r)) is not None])) if first else None,
-        "seconds": float(np.median([r["seconds"] for r, _ in rows])),
+        "closed": float(np.median(shares)) if shares else None,
+        "seconds": float(np.median([r.answer["seconds"] for r in rows])),
     }
-
-
-def _rank(result, effect):
-    """Place of ``effect`` among the effects by probability, from 1; infinite where it has none."""
-    names = [n for n in result["probabilities"] if n not in (NONE, OTHER)]
-    return names.index(effect) + 1 if effect in names else np.inf
 
 
 def _distance(result, label):
