@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from twinbench.benchmark.challenge import answering, opening, scoring
-from twinbench.benchmark.challenge.answering import answer_set
+from twinbench.benchmark.challenge.answering import answer_set, take_answers
 from twinbench.benchmark.challenge.opening import open_set
 from twinbench.benchmark.challenge.rivals.base import Rival, answer
 from twinbench.benchmark.challenge.scoring import score_set
@@ -20,7 +20,7 @@ from twinbench.benchmark.cli import main
 from twinbench.datasets import safe_pickle
 from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
-from twinbench.datasets.concealed.case import CONTROLS, Case
+from twinbench.datasets.concealed.case import CLEAR, CONTROLS, Case
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
 from twinbench.datasets.concealed.engines import ENGINES
 from twinbench.datasets.concealed.make import Folder, make
@@ -225,6 +225,22 @@ def test_a_killed_run_goes_on_and_what_is_done_is_kept(tmp_path, monkeypatch):
         make(tmp_path / "new", preset=TINY, seed="y", engines=("bullet",))
 
 
+def test_a_size_that_cannot_be_drawn_becomes_any_clear_size(tmp_path, monkeypatch):
+    entry = next(e for e in plan("full", "1", engines=("mujoco",)) if e.level == 0.5 and e.name == "wind")
+    bands = []
+
+    def coarse(*given, clear, **named):
+        bands.append(clear)
+        if clear != CLEAR:
+            raise RuntimeError("too small")
+        return drawn(*given, clear=clear, **named)
+
+    monkeypatch.setattr(making, "build", coarse)
+    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",)) == "case_000"
+    assert bands == [tuple(entry.clear)] * 2 + [CLEAR]
+    assert json.loads((tmp_path / "sealed" / "case_000.json").read_text())["label"]["level"] is None
+
+
 def test_what_cannot_be_drawn_in_one_body_is_drawn_in_another(tmp_path, monkeypatch):
     entry = next(e for s in range(99) for e in plan("full", str(s), engines=("mujoco",)) if e.name == "tearing" and e.body == "cloth")
     assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",)) == "case_000"
@@ -232,7 +248,7 @@ def test_what_cannot_be_drawn_in_one_body_is_drawn_in_another(tmp_path, monkeypa
     assert kept["label"]["object"] != "cloth" and kept["label"]["effect"] == "tearing"
     monkeypatch.setattr(making, "build", lambda *a, **k: (_ for _ in ()).throw(RuntimeError("never")))
     assert "could not be drawn" in making._one(Folder(tmp_path), "case_001", 1, entry, "x", ("mujoco",))
-    assert json.loads((tmp_path / "sealed" / "case_001.json").read_text()) == {"undrawn": ["never"] * making.TRIES}
+    assert json.loads((tmp_path / "sealed" / "case_001.json").read_text()) == {"undrawn": ["never"] * 2 * making.TRIES}
     assert not (tmp_path / "cases" / "case_001").exists()
 
 
@@ -389,6 +405,50 @@ def test_answers_are_kept_and_a_failure_is_an_answer(challenge, capsys):
         answer_set(challenge.root, names=("gues",))
     with pytest.raises(ValueError, match="is still sealed"):
         answer_set(challenge.root, names=("told",))
+
+
+def test_answers_of_anybody_are_taken_and_sealed(challenge, tmp_path):
+    """Those of another program, or of twinbench diagnose, case by case."""
+    cases, own = list(challenge.published()["cases"]), tmp_path / "own"
+    for k, name in enumerate(cases[:-1]):
+        file = own / f"{name}.json" if k % 2 else own / name / "diagnosis.json"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps({"verdict": "missing", "effect": "wind"} if k else {"verdict": "adequate"}))
+    take_answers(challenge.root, name="mine", source=own)
+    manifest = json.loads((challenge.root / "answers" / "mine" / "sealed.json").read_text())
+    assert sorted(manifest["answers"]) == sorted(cases[:-1])
+    answer_set(challenge.root, names=("guess",))
+    status = open_set(challenge.root)["rivals"]["mine"]
+    assert (status["status"], status["answers"]) == ("confirmatory", len(cases) - 1)
+    figures = {f.name: f for f in score_set(challenge.root)["mine"][2]}
+    assert figures["failed or missing answers"].value == pytest.approx(1 / len(cases))
+    assert figures["named first, macro"].value == 1 / 8  # wind is one of the eight effects in this set
+
+
+WRONG = [
+    ({"verdict": "perhaps"}, "verdict must be one of adequate, missing"),
+    ({"verdict": "missing", "effect": None}, "a name must be one of quadratic_drag"),
+    ({"verdict": "missing", "effect": "levitation"}, "a name must be one of quadratic_drag"),
+    ({"verdict": "unknown", "effect": "wind"}, "effect must be null where the verdict names nothing"),
+    ({"verdict": "unknown", "probabilities": {"wind": 0.7}}, "probabilities must sum to 1, got 0.7"),
+    ([], "must be an object"),
+]
+
+
+@pytest.mark.parametrize(("given", "says"), WRONG)
+def test_answers_that_say_nothing_sensible_are_refused(challenge, tmp_path, given, says):
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own" / "case_000.json").write_text(json.dumps(given))
+    with pytest.raises(ValueError, match=f"case_000.json: .*{says}"):
+        take_answers(challenge.root, name="mine", source=tmp_path / "own")
+    assert not (challenge.root / "answers" / "mine").exists()
+
+
+def test_answers_are_taken_from_somewhere_under_a_new_name(challenge, tmp_path):
+    with pytest.raises(ValueError, match="no answers here"):
+        take_answers(challenge.root, name="mine", source=tmp_path)
+    with pytest.raises(ValueError, match="'guess' answers by itself"):
+        take_answers(challenge.root, name="guess", source=tmp_path)
 
 
 def test_opening_is_written_down_and_what_comes_later_is_exploratory(challenge):

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from ...datasets.collection import nearest
 from ...datasets.concealed.make import Folder
-from ...datasets.concealed.seal import write_json
+from ...datasets.concealed.seal import read_json, write_json
 from ..provenance import commit
 from .book import Answers, check_recordings
 from .opening import opened_labels
 from .rivals import rivals
-from .rivals.base import FAILED, Given
+from .rivals.base import FAILED, Given, sensible
 
-__all__ = ["answer_case", "answer_set", "each"]
+__all__ = ["answer_case", "answer_set", "each", "take_answers"]
 
 
 def each(function: Callable, items: Sequence[tuple], *, jobs: int = 1):
@@ -96,6 +96,30 @@ def answer_set(
             if not books[name].file(case).exists():
                 write_json(books[name].file(case), said | {"by": about})
     return {name: books[name].publish(cases) for name in names}
+
+
+def take_answers(root: str | Path, *, name: str, source: str | Path) -> str:
+    """Seal the answers of another program under ``name``: ``source``/CASE.json, or /CASE/diagnosis.json as twinbench diagnose writes it.
+
+    What an answer leaves out counts as not said. Returns their root. Raises ValueError for a name that is a rival's, where there are none,
+    and for the first that is no answer.
+    """
+    folder, source = Folder(Path(root)), Path(source)
+    published = folder.published()
+    if name in rivals():
+        raise ValueError(f"{name!r} answers by itself; choose another name for the answers in {source}")
+    taken = {}
+    for case in published["cases"]:
+        for file in (source / f"{case}.json", source / case / "diagnosis.json"):
+            if file.is_file():
+                taken[case] = sensible(read_json(file), file)
+                break
+    if not taken:
+        raise ValueError(f"{source}: no answers here; CASE.json or CASE/diagnosis.json for the cases of {folder.cases}")
+    book = Answers(folder, name)
+    for case, said in taken.items():
+        write_json(book.file(case), said | {"by": {"commit": "unknown"}})
+    return book.publish(list(published["cases"]))
 
 
 def _short(said):

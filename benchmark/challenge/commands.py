@@ -67,6 +67,8 @@ class Answer:
     """Folder of the set."""
     rivals: Names = ("diagnosis",)
     """Who answers; all: everybody who is not told the labels. oracle, who is, answers after the opening."""
+    answers: Annotated[Path | None, arg(metavar="FOLDER")] = None
+    """Seal answers that anybody made, FOLDER/CASE.json or FOLDER/CASE/diagnosis.json, under the one name in --rivals."""
     preset: str = "quick"
     """quick or full."""
     device: str = "cpu"
@@ -76,11 +78,16 @@ class Answer:
 
     def __call__(self) -> int:
         from ..options import known
-        from .answering import answer_set
+        from .answering import answer_set, take_answers
         from .rivals import rivals
 
         known("preset", [self.preset], ("quick", "full"))
         known("device", [self.device], ("cpu", "cuda"))
+        if self.answers is not None:
+            if len(self.rivals) != 1:
+                raise ValueError(f"--answers are sealed under one name, got --rivals {' '.join(self.rivals)}")
+            print(f"{self.rivals[0]}: publish the root {take_answers(self.folder, name=self.rivals[0], source=self.answers)}")
+            return 0
         untold = [name for name, rival in rivals().items() if not rival.told]
         names = tuple(dict.fromkeys(n for name in self.rivals for n in (untold if name == "all" else [name])))
         roots = answer_set(self.folder, names=names, preset=self.preset, device=self.device, jobs=self.jobs, progress=_say)

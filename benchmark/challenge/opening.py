@@ -78,7 +78,7 @@ def standing(folder: Folder, rival: str, manifest: dict) -> dict:
         why = "the set had been opened before these answers were sealed"
     elif len(set(before)) > 1:
         why = "answered more than once before the opening"
-    elif frozen and manifest["commit"] != frozen:
+    elif known is not None and frozen and manifest["commit"] != frozen:
         why = f"answered by commit {manifest['commit'][:12]}, not by the frozen {frozen[:12]}"
     status = {"status": "exploratory" if why else "confirmatory", "root": manifest["root"], "answers": len(manifest["answers"])}
     return status | ({"why": why} if why else {})

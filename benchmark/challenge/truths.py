@@ -11,10 +11,9 @@ from ...datasets.concealed.engine import FPS
 from ...datasets.synthetic.simulate import GRAVITY
 from ...diagnosis.hypotheses import catalogue
 from ...diagnosis.verdict import NONE, OTHER
+from .rivals.base import NAMED
 
-__all__ = ["NAMED", "Row", "amplitude", "physical"]
-
-NAMED = ("missing", "measurement", "ambiguous")  # verdicts that come with a name
+__all__ = ["Row", "amplitude", "physical"]
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..phystwin import write_case
 from .bodies import BODIES
-from .case import Case, build
+from .case import CLEAR, Case, build
 from .effects import EFFECTS, OUTSIDE
 from .engines import ENGINES, engine
 from .plan import Entry, Preset, entropy, plan
@@ -24,7 +24,7 @@ from .seal import Ledger, digest, folder_digest, read_json, salt_of, sealed, wri
 
 __all__ = ["Folder", "make", "write_pair"]
 
-TRIES = 3  # bodies in turn, each with its own draws, before a case is given up
+TRIES = 2  # bodies in turn in which a size is looked for, and as many again in which any clear size will do
 WHEN = 1e9  # of all files [s since 1970]: when something was written says how long it took
 
 
@@ -129,16 +129,18 @@ def _there(folder: Folder, name: str) -> bool:
 def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines: Sequence[str]) -> str:
     """Draw and write one case; says whether it could be drawn."""
     reasons = []
-    for attempt, (body, by) in enumerate(islice(_turns(entry, engines), TRIES)):
+    turns = list(islice(_turns(entry, engines), TRIES))
+    tried = [(*turn, entry.clear, entry.level) for turn in turns] + [(*turn, CLEAR, None) for turn in turns if entry.level]
+    for attempt, (body, by, clear, level) in enumerate(tried):
         own = int(np.random.default_rng([entropy(seed), 1, index, attempt]).integers(2**31))
         try:
-            case = build(entry.kind, entry.name, body, seed=own, clear=tuple(entry.clear), like=entry.like, engine=by)
+            case = build(entry.kind, entry.name, body, seed=own, clear=tuple(clear), like=entry.like, engine=by)
         except RuntimeError as reason:
             reasons.append(str(reason))
             continue
         write_pair(case, folder.cases / name, index)
         frames = [len(case.fit.points), len(case.transfer.points)]
-        label = case.label | {"level": entry.level, "like": entry.like or None, "simulated_by": by, "frames": frames}
+        label = case.label | {"level": level, "like": entry.like or None, "simulated_by": by, "frames": frames}
         write_json(folder.kept / f"{name}.json", {"label": label, "salt": salt_of(seed, name)})
         return name
     write_json(folder.kept / f"{name}.json", {"undrawn": reasons})
