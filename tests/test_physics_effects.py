@@ -41,7 +41,9 @@ from twinbench.physics.terms import (
     Term,
     Wind,
 )
+from twinbench.physics.terms.directional_ground import DirectionalGround
 from twinbench.physics.terms.mass_field import MassField
+from twinbench.physics.terms.soft_ground import SoftGround
 from twinbench.physics.terms.stiffness_level import StiffnessLevel
 from twinbench.physics.topology import rope_hinges
 
@@ -58,7 +60,7 @@ AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
 def body(positions, *extra, springs=(), stiffness=(), controllers=STILL, velocities=None, **options):
     """A system of which only what is given here acts: ``extra`` terms, values of parameters, other fields of a system."""
     given = {k: options.pop(k) for k in ("masses", "rest", "grips", "seen", "hinges", "chains") if k in options}
-    kinds = [k for k in AIR if not (k is Ground and StribeckGround in extra)]
+    kinds = [k for k in AIR if not (k is Ground and any(e.stage == "move" for e in extra))]
     return System(
         positions=np.atleast_2d(positions),
         velocities=None if velocities is None else np.atleast_2d(velocities),
@@ -345,6 +347,45 @@ def test_without_excess_it_is_the_plain_ground_bit_for_bit():
     assert (plain[-1, :, 2] < 0.5).any() and np.array_equal(plain, stribeck)
 
 
+@pytest.mark.parametrize("heading", [0.0, 0.5, 1.7, -2.2])
+def test_friction_by_direction(heading):
+    # on a level table the normal impulse of a step is m g dt, and friction takes mu(phi) g dt: mu = 0.3 + a cos 2 phi + b sin 2 phi
+    dt, along = 1e-4, np.array([np.cos(heading), np.sin(heading), 0.0])
+    values = dict(gravity_z=-G, **TABLE, collide_elas=0.0, collide_fric=0.3, friction_along=0.2, friction_diagonal=-0.1)
+    _, v = end(body([0, 0, 0], DirectionalGround, velocities=0.5 * along, **values), dt, 1)
+    mu = 0.3 + 0.2 * np.cos(2 * heading) - 0.1 * np.sin(2 * heading)
+    np.testing.assert_allclose(v[0], (0.5 - mu * G * dt) * along, rtol=0, atol=1e-14)
+
+
+def test_without_direction_or_pad_it_is_the_plain_ground_bit_for_bit():
+    rng = np.random.default_rng(3)
+    x, v = rng.normal(size=(40, 3)), rng.normal(size=(40, 3)) * 2
+    values = dict(gravity_z=-G, **TABLE, collide_elas=0.6, collide_fric=0.4)
+    plain = steps(body(np.abs(x), velocities=v, **values), 1e-3, 1000)
+    for term in (DirectionalGround, SoftGround):
+        assert np.array_equal(plain, steps(body(np.abs(x), term, velocities=v, **values), 1e-3, 1000))
+
+
+def test_a_body_sinks_into_a_soft_ground_by_its_weight():
+    # K s = g: s = g / K of the pad's thickness. Restitution 0 and a step of 1e-3 s: a bounce of the pad's own pace sqrt(K / d) dies out by
+    # drag, as exp(-2 t)
+    pad, firm = 0.02, 40.0
+    values = dict(gravity_z=-G, **TABLE, collide_elas=0.0, drag_damping=4.0, ground_pad=pad, ground_firm=firm)
+    x, _ = end(body([0, 0, 0.01], SoftGround, **values), 1e-3, 20000)
+    assert x[0, 2] == pytest.approx(-pad * G * np.exp(-4.0 * 1e-3) / firm, abs=1e-9)  # drag takes its share of g dt before the push does
+
+
+def test_a_soft_ground_rubs_with_its_push_and_is_hard_below():
+    pad, firm, dt = 0.02, 40.0, 1e-4
+    values = dict(**TABLE, collide_elas=0.0, collide_fric=0.3, ground_pad=pad, ground_firm=firm)
+    # pressed to a half: it pushes by K / 2 and rubs with mu of that
+    _, v = end(body([0, 0, -pad / 2], SoftGround, velocities=[1.0, 0, 0], **values), dt, 1)
+    np.testing.assert_allclose(v[0], [1 - 0.3 * firm / 2 * dt, 0, firm / 2 * dt], rtol=0, atol=1e-14)
+    # thrown down at 3 m/s, of which it takes 2 K d / 2 = 0.8 of 9 m^2/s^2: it reaches the hard plane, and no further but for a step
+    x, _ = end(body([0, 0, 0], SoftGround, velocities=[0, 0, -3.0], **values), dt, 100)
+    assert -pad - 1e-12 < x[0, 2] < -pad + 5e-3
+
+
 @pytest.mark.parametrize(("a", "b"), [(0.3, 0.0), (0.0, -0.2), (0.2, 0.3)])
 def test_a_ground_that_lies_elsewhere(a, b):
     # n = z, so the first axis least along it is x, and z x x = y: n' = (sin a, cos a sin b, cos a cos b). The plane turns about the point
@@ -590,12 +631,12 @@ def test_an_effect_of_no_size_changes_nothing_and_a_typical_one_does(term):
     assert np.isfinite(some).all() and np.abs(some - without).max() > 1e-4  # m: a tenth of what a depth camera sees
 
 
-@pytest.mark.parametrize("term", [t for t in found_effects() if t is not SelfCollision], ids=lambda t: t.name)
+@pytest.mark.parametrize("term", [t for t in found_effects() if t not in (SelfCollision, SoftGround)], ids=lambda t: t.name)
 def test_a_small_effect_is_nearly_linear(term):
     # twice the size, twice the change, within a tenth: at 2 % of a typical effect in the air; at 0.002 % on the table, where one bounce
     # more is a jump; at 0.2 % in a slack rope, which 2 % of a typical stiffness already bend into another shape, by 6 mm. Self-contact is
-    # left out, for particles meet or they do not
-    scale = 1e-5 if term in (GroundAdhesion, GroundPose, StribeckGround) else 1e-3 if term.stage == "hinge" else 1e-2
+    # left out, for particles meet or they do not, and a pad thinner than the way of a substep, which is missed
+    scale = 1e-5 if term.stage == "move" or term in (GroundAdhesion, GroundPose) else 1e-3 if term.stage == "hinge" else 1e-2
     none, one, two = (run(term, share * scale, scale < 1e-4) for share in (0, 1, 2))
     assert np.linalg.norm((two - none) - 2 * (one - none)) < 0.1 * np.linalg.norm(two - none)
     assert np.abs(two - none).max() > 1e-9
@@ -603,7 +644,7 @@ def test_a_small_effect_is_nearly_linear(term):
 
 def test_all_effects_at_once():
     # any two may be combined, in one list and with uneven stiffness: of no size they change nothing, at a tenth of the typical one all act
-    kinds = [t for t in found_effects() if t not in (SelfCollision, StribeckGround)] + [StiffnessField]
+    kinds = [t for t in found_effects() if t is not SelfCollision and t.stage != "move"] + [StiffnessField]
     plain = thrown(GravityTilt, None, roped=True)
     together = replace(plain, terms=[*plain.terms, *(k() for k in kinds)]).with_values(adhesion_normal_z=1.0)
     typical = {name: 0.1 * value for k in kinds if k.effect for name, value in k.effect.typical.items()}

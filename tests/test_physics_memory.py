@@ -20,7 +20,9 @@ from twinbench.physics.stability import stable_step
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Springs
 from twinbench.physics.terms.base import Term
+from twinbench.physics.terms.creep import Creep
 from twinbench.physics.terms.grip_slip import GripSlip
+from twinbench.physics.terms.internal_friction import InternalFriction
 from twinbench.physics.terms.plasticity import Plasticity
 from twinbench.physics.terms.tearing import Tearing
 from twinbench.physics.terms.viscoelastic import Viscoelastic
@@ -115,6 +117,74 @@ def test_loss_and_storage_modulus(ratio):
         errors.append(np.hypot(found[0] - storage, found[1] - loss))
         assert errors[-1] < Y * a * 2 * np.pi / count
     assert errors[1] == pytest.approx(errors[0] / 2, rel=0.15)  # first order
+
+
+# ---------------------------------------------------------------- creep
+
+
+def test_what_creeps_forgets_its_load_and_keeps_its_length():
+    # Maxwell's fluid: held at e, F = Y e exp(-r t) and q = e (1 - exp(-r t)); let go, it is longer by q and flows no further than to e = 0
+    e, rate, dt, held = 0.07, 8.0, 2e-3, 200
+    tension, (q,) = (a.T for a in stretched([Creep({"creep_rate": rate})], [e] * held + [0.0] * 2, dt))
+    t = dt * np.arange(held)
+    np.testing.assert_allclose(tension[:held], Y * e * np.exp(-rate * t), rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(q[:held], e * (1 - np.exp(-rate * (t + dt))), rtol=0, atol=1e-7)
+    assert tension[held] == pytest.approx(-Y * e * (1 - np.exp(-rate * held * dt)), abs=ROUNDING)
+
+
+def test_a_load_that_hangs_on_sinks_steadily():
+    # m x'' = m g - Y (e - q) - c x': once it hangs, q' = r (e - q) is the pace at which the spring grows: r (m g - c x') / Y
+    rate, mass, length, damping = 0.5, 0.2, 1.0, 3.0
+    system = System(
+        positions=[[0, 0, 0], [0, 0, -length]],
+        masses=[1.0, mass],
+        springs=[[0, 1]],
+        stiffness=[Y],
+        controllers=np.zeros((121, 1, 3)),
+        grips=[0],
+        terms=[
+            Springs(),
+            Dashpot({"dashpot_damping": damping}),
+            Gravity({"gravity_z": -9.8}),
+            ControllerSprings(),
+            Creep({"creep_rate": rate}),
+        ],
+    )
+    z = Batch([system], fps=30, substeps=100, double=True).rollout(121).positions[0][:, 1, 2].numpy()
+    # from 2 s on, when the bounce has died out as exp(-c t / (2 m)) = exp(-15)
+    assert np.diff(z[60:]).mean() * 30 == pytest.approx(-rate * mass * 9.8 / (Y + rate * damping) * length, rel=1e-4)
+
+
+# ---------------------------------------------------------------- internal friction
+
+
+@pytest.mark.parametrize("dt", [1e-2, 1e-3])
+def test_friction_of_the_material_goes_to_its_limit_over_its_strain(dt):
+    # Dahl: under a growing strain z = 1 - exp(-e / e_h), back from there z = -1 + (1 + z0) exp(-(e0 - e) / e_h); the pace does not matter
+    limit, width = 0.03, 0.01
+    up = np.linspace(0, 0.02, 201)
+    strains = [*up, *up[::-1][1:]]
+    term = InternalFriction({"internal_friction": limit, "friction_strain": width})
+    _, (z,) = (a.T for a in stretched([term], strains, dt))
+    top = 1 - np.exp(-0.02 / width)
+    # the memory after a substep has seen the strain go as fast as at its start until its end
+    np.testing.assert_allclose(z[1:200], 1 - np.exp(-up[2:] / width), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(z[-1], -1 + (1 + top) * np.exp(-0.02 / width), rtol=0, atol=0.01)  # one of 200 strains late
+
+
+def test_a_cycle_takes_the_same_work_at_every_speed():
+    # tension a Y z around e0 sin: for e0 >> e_h the loop is the rectangle 2 a Y x 2 e0 less rounded corners of 2 a Y e_h (1 - ...) each
+    limit, width, e0, work = 0.03, 0.004, 0.04, []
+    for dt in (1e-3, 1e-2):
+        strains = e0 * np.sin(2 * np.pi * np.arange(801) / 400)
+        term = InternalFriction({"internal_friction": limit, "friction_strain": width})
+        tension, _ = stretched([term], strains, dt)
+        last = slice(400, 800)
+        work.append(np.sum(tension[last] * np.diff(strains)[last]))
+    assert work[0] == pytest.approx(work[1], rel=1e-6)
+    # each way: integral of a Y (1 - 2 exp(-s / e_h)) ds over 2 e0; elastic work closes. A substep's lag of the strain is 2 pi / 400 of e0
+    expected = 2 * limit * Y * (2 * e0 - 2 * width * (1 - np.exp(-2 * e0 / width)))
+    assert work[0] == pytest.approx(expected, rel=0.03)
 
 
 # ---------------------------------------------------------------- tearing

@@ -8,7 +8,9 @@ from .bending_damping import BendingDamping
 from .compression_softening import CompressionSoftening
 from .controller_delay import ControllerDelay
 from .controller_springs import ControllerSprings
+from .creep import Creep
 from .dashpot import Dashpot
+from .directional_ground import DirectionalGround
 from .gravity import Gravity
 from .gravity_tilt import GravityTilt
 from .grip_compliance import GripCompliance
@@ -19,6 +21,7 @@ from .ground_adhesion import GroundAdhesion
 from .ground_pose import GroundPose
 from .hidden_obstacle import HiddenObstacle
 from .hidden_tether import HiddenTether
+from .internal_friction import InternalFriction
 from .linear_drag import LinearDrag
 from .observer import Observer
 from .plasticity import Plasticity
@@ -26,6 +29,7 @@ from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
 from .second_hand import SecondHand
 from .self_collision import SelfCollision
+from .soft_ground import SoftGround
 from .springs import Springs
 from .stiffness_field import StiffnessField
 from .strain_stiffening import StrainStiffening
@@ -43,7 +47,9 @@ __all__ = [
     "CompressionSoftening",
     "ControllerDelay",
     "ControllerSprings",
+    "Creep",
     "Dashpot",
+    "DirectionalGround",
     "Effect",
     "Gravity",
     "GravityTilt",
@@ -55,6 +61,7 @@ __all__ = [
     "GroundPose",
     "HiddenObstacle",
     "HiddenTether",
+    "InternalFriction",
     "LinearDrag",
     "Observer",
     "Plasticity",
@@ -62,6 +69,7 @@ __all__ = [
     "RestShape",
     "SecondHand",
     "SelfCollision",
+    "SoftGround",
     "Springs",
     "StiffnessField",
     "StrainStiffening",
