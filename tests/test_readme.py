@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from twinbench.benchmark import cli
+from twinbench.benchmark.challenge.commands import COMMANDS as CHALLENGE
 from twinbench.benchmark.plan import TASKS
 from twinbench.benchmark.results import read_results
 from twinbench.benchmark.table import blocks
@@ -27,7 +28,7 @@ TABLE = re.search(r"^```text\n(.*?)^```$", TEXT, re.M | re.S)[1]
 INSTALL_AND_RUN, INSTALL_AND_TEST = COMMANDS[:2]
 
 SUBCOMMANDS = {"run": cli.Run, "table": cli.Table, "picture": cli.Picture, "check": cli.Check, "download": cli.Download, "list": cli.List}
-SUBCOMMANDS |= {"diagnose": cli.Diagnose, "concealed": cli.Concealed, "real": cli.Real}
+SUBCOMMANDS |= {"diagnose": cli.Diagnose, "concealed": cli.Concealed, "challenge": cli.Challenge, "real": cli.Real}
 
 
 def parts(command):
@@ -67,16 +68,17 @@ def test_extras_are_there():
 @pytest.mark.parametrize("command", [shlex.join(words) for words in calls(["twinbench"])])
 def test_twinbench_commands_exist(command):
     name, *arguments = shlex.split(command)[1:]
-    options = {field.name for field in fields(SUBCOMMANDS[name])}
+    options = {field.name for field in fields(CHALLENGE[arguments[0]] if name == "challenge" else SUBCOMMANDS[name])}
     assert {word[2:] for word in arguments if word.startswith("--")} <= options | {"help"}
 
 
 def test_every_subcommand_is_mentioned():
     assert {words[1] for words in calls(["twinbench"])} == set(SUBCOMMANDS)
+    assert {words[2] for words in calls(["twinbench", "challenge"])} == set(CHALLENGE)
 
 
 def test_options_in_the_prose_exist():
-    options = {field.name.replace("_", "-") for command in SUBCOMMANDS.values() for field in fields(command)}
+    options = {field.name.replace("_", "-") for command in (*SUBCOMMANDS.values(), *CHALLENGE.values()) for field in fields(command)}
     assert set(re.findall(r"`--([\w-]+)", TEXT)) - {"cuda", "small"} <= options  # those are of modules that are run with python -m
 
 
