@@ -247,7 +247,10 @@ def main(arguments=None) -> None:
     )
     options = parser.parse_args(arguments)
     device = "cpu" if options.small else "cuda"
-    about = provenance(device)
+    try:
+        about = provenance(device)
+    except ValueError as error:
+        parser.error(f"{error.args[0].split(';')[0]}; --small runs on the CPU")
     steps = measure(SMALL if options.small else PUBLISHED, device, options.method, options.only)
     fitted = options.method if "twin" in options.only else "rigid"
     print(f"\n{fitted}, {about['device']}, torch {about['torch']}, warp {about['warp']}, commit {about['commit']}\n")
