@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ....datasets.concealed.plan import entropy
 from .base import Rival
 
 __all__ = ["RIVAL", "Permuted"]
@@ -21,7 +20,7 @@ class Permuted(Rival):
 
     def derive(self, answers, seed):
         names = sorted(answers)
-        dealt = np.random.default_rng(entropy(seed)).permutation(len(names))
+        dealt = np.random.default_rng(list(seed.encode())).permutation(len(names))
         return {name: answers[names[k]] | {"fit": _unimproved(answers[name].get("fit", {}))} for name, k in zip(names, dealt, strict=True)}
 
 
