@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -84,40 +84,45 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
         _share("false alarms", [r.alarm for r in controls], goal=0.05, better="lower"),
         Figure("false alarms, 95 % bound", upper_bound(alarms, len(controls)), *[float("nan")] * 2, len(controls), "share", 0.05, "lower"),
         _share("false alarms with a name", [r.named for r in controls], better="lower"),
-        _over("detection, area under the curve", rows, _detection),
-        _over("the same up to 5 % false alarms", rows, lambda some: _detection(some, early_auroc)),
+        _over("detection, area under the curve", rows, _suspected, _separated(auroc)),
+        _over("the same up to 5 % false alarms", rows, _suspected, _separated(early_auroc)),
         _share("effects found", [r.alarm for r in effects]),
-        _over("named first, macro", effects, _macro(lambda r: r.first)),
-        _over("named first at twice the floor, macro", twice, _macro(lambda r: r.first), goal=0.75),
-        _over("named or one of two at twice the floor, macro", twice, _macro(lambda r: r.of_two), goal=0.85),
-        _over("named or one of two, macro", effects, _macro(lambda r: r.of_two)),
-        _over("likeliest name right, said or not, macro", effects, _macro(lambda r: r.rank == 1)),
-        _over("macro F1 of names", effects, _macro_f1),
+        _over("named first, macro", effects, _hit("first"), _macro),
+        _over("named first at twice the floor, macro", twice, _hit("first"), _macro, goal=0.75),
+        _over("named or one of two at twice the floor, macro", twice, _hit("of_two"), _macro, goal=0.85),
+        _over("named or one of two, macro", effects, _hit("of_two"), _macro),
+        _over("likeliest name right, said or not, macro", effects, lambda r: (r.truth, r.rank == 1), _macro),
+        _over("macro F1 of names", effects, lambda r: (r.truth, r.said if r.named else None), _macro_f1),
         _share("named wrong", [r.named and not r.first for r in effects], better="lower"),
-        _over(
-            "size found in 80 % of cases", effects, lambda some: size_at([r.ratio for r in some], [r.alarm for r in some]), unit="floors"
+        _over("size found in 80 % of cases", effects, _sized("alarm"), _size_at, unit="floors"),
+        _over("size named in 80 % of cases", effects, _sized("first"), _size_at, unit="floors"),
+        _over("place F1", right, _place_f1, np.median, goal=0.80),
+        _over("place and time F1", right, _place_time_f1, np.median),
+        _over("place, distance", right, _distance, np.median, unit="m", better="lower"),
+        _over("first cluster holds the place", right, _pinpointed, np.mean),
+        _over("onset, difference", right, _onset, np.median, unit="frames", better="lower"),
+        _over("amplitude, error", right, _amplitude_error, np.median, goal=0.20, better="lower", unit="share"),
+        _over("amplitude, 90 % intervals that cover", right, _covered, np.mean),
+        *(
+            _over(f"share of the oracle's gain, {part}", effects, _gains(part), _ratio, goal=0.6 if part == "transfer" else None)
+            for part in PARTS
         ),
         _over(
-            "size named in 80 % of cases", effects, lambda some: size_at([r.ratio for r in some], [r.first for r in some]), unit="floors"
+            "catalogued against outside, area under the curve",
+            [*effects, *outside],
+            lambda r: (r.kind == "outside", r.conviction),
+            _separated(auroc),
+            goal=0.90,
         ),
-        _over("place F1", right, _median(_place_f1), goal=0.80),
-        _over("place and time F1", right, _median(_place_time_f1)),
-        _over("place, distance", right, _median(_distance), unit="m", better="lower"),
-        _over("first cluster holds the place", right, _mean(_pinpointed)),
-        _over("onset, difference", right, _median(_onset), unit="frames", better="lower"),
-        _over("amplitude, error", right, _median(_amplitude_error), goal=0.20, better="lower", unit="share"),
-        _over("amplitude, 90 % intervals that cover", right, _mean(_covered)),
-        *(_over(f"share of the oracle's gain, {part}", effects, _gain(part), goal=0.6 if part == "transfer" else None) for part in PARTS),
-        _over("catalogued against outside, area under the curve", [*effects, *outside], _openness, goal=0.90),
         _share("outside yet named", [r.named for r in outside], goal=0.10, better="lower"),
         _share("outside said to be unknown", [r.verdict == OTHER for r in outside]),
         _share("pairs, first name one of the two", [r.first for r in pairs]),
-        _over("pairs, F1 of names", pairs, _mean(_pair_f1)),
-        _over("calibration error", rows, lambda some: expected_calibration_error(*confidence(some)), better="lower"),
-        _over("Brier score", rows, _mean(_brier), better="lower"),
-        _over("area under risk and coverage", rows, lambda some: risk_coverage(*confidence(some)), better="lower"),
+        _over("pairs, F1 of names", pairs, _pair_f1, np.mean),
+        _over("calibration error", rows, _trusted, lambda some: expected_calibration_error(*zip(*some, strict=True)), better="lower"),
+        _over("Brier score", rows, _brier, np.mean, better="lower"),
+        _over("area under risk and coverage", rows, _trusted, lambda some: risk_coverage(*zip(*some, strict=True)), better="lower"),
         _share("failed or missing answers", [r.verdict == "failed" for r in rows], better="lower"),
-        _over("time of an answer", rows, _median(lambda r: r.answer.get("seconds")), unit="s", better="lower"),
+        _over("time of an answer", rows, lambda r: r.answer.get("seconds"), np.median, unit="s", better="lower"),
     ]
     return found
 
@@ -132,61 +137,56 @@ def _share(name, hits, **about):
     return Figure(name, sum(hits) / len(hits) if hits else float("nan"), low, high, len(hits), "share", **about)
 
 
-def _over(name, rows, statistic, *, unit="", **about):
-    """A figure whose interval is that of drawing cases anew; ``cases`` are those that have it."""
-    told = [r for r in rows if np.isfinite(statistic([r]))] if getattr(statistic, "by_case", False) else rows
-    value = statistic(list(told)) if told else float("nan")
-    low, high = bootstrap(told, statistic) if np.isfinite(value) else (float("nan"),) * 2
+def _over(name, rows, number, pool, *, unit="", **about):
+    """What ``pool`` makes of the ``number`` of every case that has one (not None); its interval is that of drawing these cases anew."""
+    told = [v for r in rows if (v := number(r)) is not None]
+    value = float(pool(told)) if told else float("nan")
+    low, high = bootstrap(told, lambda some: float(pool(some))) if np.isfinite(value) else (float("nan"),) * 2
     return Figure(name, value, low, high, len(told), unit, **about)
 
 
-def _by_case(pool):
-    """A statistic that pools one number of every case that has it."""
-
-    def of(number: Callable[[Row], float | None]):
-        def statistic(rows):
-            values = [float(v) for r in rows if (v := number(r)) is not None and np.isfinite(v)]
-            return float(pool(values)) if values else float("nan")
-
-        statistic.by_case = True
-        return statistic
-
-    return of
+def _hit(what):
+    return lambda r: (r.truth, getattr(r, what))
 
 
-_median, _mean = _by_case(np.median), _by_case(np.mean)
-
-
-def _macro(hit):
+def _macro(some):
     """Mean over effects of the share of their cases that are hit: an effect counts as much as another, however many cases it has."""
-
-    def statistic(rows):
-        groups: dict[str, list[bool]] = {}
-        for r in rows:
-            groups.setdefault(r.truth, []).append(bool(hit(r)))
-        return float(np.mean([np.mean(g) for g in groups.values()])) if groups else float("nan")
-
-    return statistic
+    groups: dict[str, list[bool]] = {}
+    for truth, hit in some:
+        groups.setdefault(truth, []).append(bool(hit))
+    return np.mean([np.mean(g) for g in groups.values()])
 
 
-def _macro_f1(rows):
-    true, said = Counter(r.truth for r in rows), Counter(r.said for r in rows if r.named)
-    hits = Counter(r.truth for r in rows if r.first)
-    return float(np.mean([2 * hits[n] / (true[n] + said[n]) for n in true])) if true else float("nan")
+def _macro_f1(some):
+    true, said, hits = Counter(t for t, _ in some), Counter(n for _, n in some), Counter(t for t, n in some if n == t)
+    return np.mean([2 * hits[n] / (true[n] + said[n]) for n in true])
 
 
-def _detection(rows, area=auroc):
-    controls = [r.suspicion for r in rows if r.kind == "control"]
-    return area([r.suspicion for r in rows if r.kind != "control"], controls)
+def _sized(what):
+    return lambda r: (r.ratio, getattr(r, what)) if np.isfinite(r.ratio) else None
 
 
-def _openness(rows):
-    return auroc([r.conviction for r in rows if r.kind == "effect"], [r.conviction for r in rows if r.kind == "outside"])
+def _size_at(some):
+    return size_at(*zip(*some, strict=True))
+
+
+def _suspected(row):
+    return row.kind == "control", row.suspicion
+
+
+def _separated(area):
+    """Area under the curve by which the second numbers of cases tell whether the first is false."""
+    return lambda some: area([v for low, v in some if not low], [v for low, v in some if low])
+
+
+def _trusted(row):
+    name, chance = row.likeliest
+    return chance, name in row.truths
 
 
 def confidence(rows: Sequence[Row]) -> tuple[list[float], list[bool]]:
     """Probability of the likeliest reading of every case, and whether it is right."""
-    return [r.likeliest[1] for r in rows], [r.likeliest[0] in r.truths for r in rows]
+    return [_trusted(r)[0] for r in rows], [_trusted(r)[1] for r in rows]
 
 
 def _brier(row):
@@ -273,22 +273,24 @@ def _amplitude_names(effect):
     return {n for term in catalogue() if term.effect.name == effect and len(term.effect.amplitudes) == 1 for n in term.effect.amplitudes}
 
 
-def _gain(part):
-    """Error on ``part`` that the answers remove, over what who was told removes, summed over cases in which that is something."""
+def _gains(part):
+    """Error on ``part`` that an answer removes, and that who was told removes; None where the latter is next to nothing."""
 
     def gained(answer):
         one = ((answer or {}).get("fit") or {}).get(part) or {}
         if one.get("baseline") is None:
-            return None
-        return one["baseline"] - (one["baseline"] if one.get("extended") is None else one["extended"])
+            return None, 1.0
+        return one["baseline"] - (one["baseline"] if one.get("extended") is None else one["extended"]), one["baseline"]
 
-    def statistic(rows):
-        pairs = [(gained(r.answer), gained(r.ceiling), r.ceiling["fit"][part]["baseline"]) for r in rows if gained(r.ceiling) is not None]
-        pairs = [(g or 0.0, most) for g, most, baseline in pairs if most > CLOSABLE * baseline]
-        return sum(g for g, _ in pairs) / sum(most for _, most in pairs) if pairs else float("nan")
+    def number(row):
+        most, baseline = gained(row.ceiling)
+        return None if most is None or most <= CLOSABLE * baseline else (gained(row.answer)[0] or 0.0, most)
 
-    statistic.by_case = True
-    return statistic
+    return number
+
+
+def _ratio(some):
+    return sum(g for g, _ in some) / sum(most for _, most in some)
 
 
 def _pair_f1(row):
