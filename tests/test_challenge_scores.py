@@ -294,4 +294,14 @@ def test_the_size_that_is_found_in_four_of_five():
     # found with probability 1 / (1 + (2 / s)^3): 0.8 at s = 2 x 4^(1/3); 4000 cases tell the slope to 3 %
     found = rng.random(4000) < 1 / (1 + (2 / sizes) ** 3)
     assert size_at(sizes, found) == pytest.approx(2 * 4 ** (1 / 3), rel=0.06)
+    # the same minimum as that of a general optimiser
+    from scipy.optimize import minimize
+
+    x, y = np.log(sizes[:60]), found[:60].astype(float)
+
+    def cost(v):
+        return np.logaddexp(0, v[0] + v[1] * x).sum() - (y * (v[0] + v[1] * x)).sum() + v @ v / 50
+
+    a, b = minimize(cost, np.zeros(2), tol=1e-10).x
+    assert size_at(sizes[:60], found[:60]) == pytest.approx(np.exp((np.log(4) - a) / b), rel=1e-3)
     assert np.isnan(size_at(sizes, ~found)) and np.isnan(size_at([1, 2, 3, 4, 5], [True] * 5))

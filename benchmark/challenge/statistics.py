@@ -21,6 +21,7 @@ __all__ = [
 ]
 
 DRAWS = 1000  # of a bootstrap
+PRIOR = 5.0  # standard deviation of the numbers of a logistic regression
 
 
 def clopper_pearson(hits: int, of: int, level: float = 0.95) -> tuple[float, float]:
@@ -145,22 +146,23 @@ def overlap(said, true) -> float:
 
 
 def size_at(sizes: Sequence[float], found: Sequence[bool], power: float = 0.8) -> float:
-    """The size that is found in a share ``power`` of cases: logistic regression on its log, slightly shrunk (a prior of deviation 5).
+    """The size that is found in a share ``power`` of cases: logistic regression on its log, slightly shrunk.
 
     NaN where power does not grow with size, or is not reached within a factor of four beyond the sizes there are.
     """
-    from scipy.optimize import minimize
-
     sizes, found = np.asarray(sizes, float), np.asarray(found, float)
     if len(sizes) < 5 or found.min() == found.max():
         return float("nan")
     x = np.log(sizes)
-
-    def cost(v):
-        value = v[0] + v[1] * x
-        return float(np.logaddexp(0, value).sum() - (found * value).sum() + (v @ v) / 50)
-
-    a, b = minimize(cost, np.zeros(2)).x
+    columns, v = np.stack([np.ones_like(x), x], 1), np.zeros(2)
+    for _ in range(50):  # Newton's method on a convex cost; steps are kept short, as it may overshoot where all is told apart
+        chance = 1 / (1 + np.exp(-np.clip(columns @ v, -30, 30)))
+        slope = columns.T @ (chance - found) + v / PRIOR**2
+        step = np.linalg.solve((columns * (chance * (1 - chance))[:, None]).T @ columns + np.eye(2) / PRIOR**2, slope)
+        v = v - step / max(1.0, np.linalg.norm(step))
+        if np.linalg.norm(step) < 1e-8:
+            break
+    a, b = v
     if b <= 0:
         return float("nan")
     wanted = (np.log(power / (1 - power)) - a) / b
