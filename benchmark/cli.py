@@ -462,6 +462,11 @@ def main(arguments: list[str] | None = None) -> int:
         said = error.strerror if isinstance(error, OSError) and error.strerror and not error.filename else str(error)  # without [Errno 28]
         print(f"twinbench: {' '.join(said.split())}", file=sys.stderr)
         return 2
+    except ImportError as error:
+        if error.name is not None:  # Python's own: a fault of ours, not a package that the command asks for
+            raise
+        print(f"twinbench: {error}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("twinbench: stopped; the same command goes on from here", file=sys.stderr)
         return 130

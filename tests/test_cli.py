@@ -215,6 +215,17 @@ def test_a_recording_that_cannot_be_read_is_one_line(cases, tmp_path, capsys):
     assert "final_data.pkl" in err and err.count("\n") == 1
 
 
+def test_a_package_that_is_not_there_is_one_line_and_a_fault_of_ours_is_not(tmp_path, capsys, monkeypatch):
+    (tmp_path / "beam_a.c3d").write_bytes(b"")
+    monkeypatch.setitem(sys.modules, "ezc3d", None)
+    assert run("--data", tmp_path) == 2
+    err = capsys.readouterr().err
+    assert "pip install ezc3d" in err and err.count("\n") == 1
+    monkeypatch.setitem(sys.modules, "twinbench.benchmark.opening", None)
+    with pytest.raises(ImportError, match=r"twinbench\.benchmark\.opening"):
+        run("--data", tmp_path)
+
+
 def test_a_device_that_is_not_there_is_one_line(cases, capsys):
     torch = pytest.importorskip("torch")
     if torch.cuda.is_available():
