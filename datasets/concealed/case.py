@@ -84,7 +84,7 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine):
     scripts = _scripts(planned or [(EFFECTS | OUTSIDE)[like]] if planned or like else [], body, rng)
     plain = (engine.simulate(body, scripts[0]),)
     chaos = _chaos(body, scripts[0], plain[0], engine)
-    if chaos > min(CHAOS, clear[1] / BEYOND if planned else np.inf):
+    if chaos > min(CHAOS, clear[1] / BEYOND):
         raise Dull(f"a tenth of a millimetre grows to {1000 * chaos:.1f} mm")
     plain = (*plain, engine.simulate(body, scripts[1]))
     parts = [_clear(one, body, scripts, plain, rng, clear, chaos, engine) for one in planned]

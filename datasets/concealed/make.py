@@ -130,7 +130,8 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
     """Draw and write one case; says whether it could be drawn."""
     reasons = []
     turns = list(islice(_turns(entry, engines), TRIES))
-    tried = [(*turn, entry.clear, entry.level) for turn in turns] + [(*turn, CLEAR, None) for turn in turns if entry.level]
+    tried = [(*turn, entry.clear, entry.level) for turn in turns]
+    tried += [(*turn, CLEAR, None) for turn in turns if tuple(entry.clear) != CLEAR]
     for attempt, (body, by, clear, level) in enumerate(tried):
         own = int(np.random.default_rng([entropy(seed), 1, index, attempt]).integers(2**31))
         try:

@@ -50,7 +50,7 @@ PRESETS = {
 class Entry:
     """One case: ``kind``, ``name`` and ``body`` as ``build`` takes them, and the ``engine`` that simulates it.
 
-    clear  how far the points may be moved [m RMS]
+    clear  how far the points may be moved [m RMS]; a control must be as predictable as if they were
     like   the effect in whose interactions a control is filmed
     level  size over ``FLOOR``, where one is asked
     """
@@ -95,7 +95,7 @@ def plan(preset: str | Preset, seed: str, *, engines: Sequence[str]) -> list[Ent
     filmed = [others[k] for k in rng.permutation(len(others))]
     for k, name in enumerate(_turns(rng, CONTROLS, preset.controls)):
         one = filmed[k % len(filmed)]
-        cases.append(Entry("control", name, one.body, one.engine, like=one.name))
+        cases.append(Entry("control", name, one.body, one.engine, one.clear, like=one.name))
     return [cases[i] for i in rng.permutation(len(cases))]
 
 
