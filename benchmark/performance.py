@@ -1,7 +1,7 @@
-"""How fast the engine is, beside a plain numpy loop (CPU) and the reference implementation's published rates (GPU).
+"""How fast the engine is: on a CPU beside a plain numpy loop, on a GPU beside a simulator built as the published one is, and the bounds.
 
-python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core
-python -m twinbench.benchmark.performance --cuda       frames per second of 667 substeps on the GPU, single and in batches of 64
+python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core, and what two workers bring
+python -m twinbench.benchmark.performance --cuda       frames of 667 substeps on the GPU: singly, in batches, with gradient
 """
 
 from __future__ import annotations
@@ -15,8 +15,14 @@ import numpy as np
 __all__ = ["block", "main"]
 
 PUBLISHED_SUBSTEPS = 667
-REFERENCE = {500: (127, 18), 2000: (94, 24), 5000: (74, 33), 20000: (39, 69)}
-"""Particles -> (frames/s, ms a frame with gradient) of the reference implementation on one H200, about 14 springs a particle."""
+SIZES = {500: 528, 2000: 264, 5000: 128, 20000: 32}
+"""Particles of the measured bodies -> systems in a batch, enough to fill a chip a few times."""
+
+# What the resident engine's forward kernel does for each end of a spring (see physics/resident.cu), and what a Hopper multiprocessor can
+INSTRUCTIONS = 26  # of a warp: 18 of arithmetic, 3 reads, 5 to find the record and to reduce
+ISSUED = 4  # a cycle
+READS = 6  # turns of shared memory for a warp's 24 bytes a thread, without conflicts; times ``packing.waits``
+CLOCK = 1.98e9  # Hz, of an H200 at work
 
 
 def block(particles: int, springs_each: float, *, frames: int = 2, seed: int = 0):
@@ -97,32 +103,91 @@ def cpu(repeats: int) -> None:
         steps = max(4, 4000 // particles)
         numpy = min(numpy_substeps(system, steps, dt) for _ in range(repeats)) / (len(system.springs) * steps * 1e-9)
         print(f"{particles:>10} {len(system.springs):>9} {forward:>9.1f} {both:>10.1f} {numpy:>9.1f} {numpy / forward:>14.1f}", flush=True)
+    system, seconds = block(2000, 10), {}
+    for workers in (1, 2):
+        batch = Batch([system] * 8, fps=1 / (substeps * dt), substeps=substeps, dt=dt, workers=workers)
+        seconds[workers] = timed(lambda b=batch: b.rollout(), lambda: None, repeats=repeats)
+    print(f"8 systems of 2000 particles: two workers are {seconds[1] / seconds[2]:.2f} times as fast as one")
 
 
 def cuda(repeats: int) -> None:
-    """Print the GPU table."""
+    """Print the GPU tables."""
     import torch
 
     from ..physics.batch import Batch
+    from .reference_engine import ReferenceEngine
 
-    dt = 5e-5
+    dt, sync = 5e-5, torch.cuda.synchronize
     print(f"{torch.cuda.get_device_name()}, float32, frames of {PUBLISHED_SUBSTEPS} substeps, best of {repeats}")
-    heads = ("particles", "springs", "systems", "frames/s", "reference", "ratio", "ms +gradient", "reference")
-    print("{:>10} {:>9} {:>8} {:>10} {:>10} {:>7} {:>13} {:>10}".format(*heads))
-    for particles, (rate, gradient) in REFERENCE.items():
-        system = block(particles, 14)
-        for count in (1, 64):
-            batch = Batch([system] * count, fps=30, substeps=PUBLISHED_SUBSTEPS, dt=dt, device="cuda")
-            forward = timed(lambda b=batch: b.march(0, 1), torch.cuda.synchronize, repeats=repeats) / count
-            both = float("nan")
-            if count == 1:
-                both = timed(lambda b=batch: forward_backward(b), torch.cuda.synchronize, repeats=repeats) / count
-            print(
-                f"{particles:>10} {len(system.springs):>9} {count:>8} {1 / forward:>10.0f} {rate:>10} {1 / forward / rate:>7.1f} "
-                f"{both * 1e3:>13.2f} {gradient:>10}",
-                flush=True,
-            )
-            del batch
+    print("bound: what shared memory and the issue of instructions allow, and the measured cost of a substep without springs")
+    head = "{:>22} {:>9} {:>8} {:>10} {:>9} {:>8} {:>16} {:>9} {:>7}"
+    print(head.format("particles", "springs", "systems", "frames/s", "bound", "of it", "engine", "reference", "ratio"))
+
+    def batch_of(system, count):
+        return Batch([system] * count, fps=30, substeps=PUBLISHED_SUBSTEPS, dt=dt, device="cuda")
+
+    gradients = []
+    for particles, many in SIZES.items():
+        for colliding in (False, True) if particles == 2000 else (False,):
+            system = block(particles, 14, frames=5)
+            system = collided(system) if colliding else system
+            name = f"{particles}{' self-colliding' if colliding else ''}"
+            reference = ReferenceEngine(system, substeps=PUBLISHED_SUBSTEPS, dt=dt, near=near_of(system) if colliding else None, back=True)
+            slow = timed(reference.frame, sync, repeats=repeats)
+            slow_both = timed(reference.frame_and_gradient, sync, repeats=repeats)
+            del reference
+            for count, frames in ((1, 4), (many, 1)):
+                batch = batch_of(system, count)
+                seconds = timed(lambda b=batch, f=frames: b.march(0, f), sync, repeats=repeats) / frames
+                bound = floor(batch, sync) if batch.resident else float("nan")
+                shape = "general" if batch.resident is None else "{blocks}x{threads}/{lanes}".format(**vars(batch.resident.shape))
+                rates = f"{count / seconds:.0f}", f"{count / bound:.0f}", f"{100 * bound / seconds:.0f} %"
+                springs = len(system.springs)
+                print(head.format(name, springs, count, *rates, shape, f"{1 / slow:.0f}", f"{count * slow / seconds:.1f}"), flush=True)
+                if count == 1:
+                    both = timed(lambda b=batch: forward_backward(b), sync, repeats=repeats)
+                    gradients.append((name, len(system.springs), both, slow_both))
+                del batch
+    row = "{:>22} {:>9} {:>14} {:>9} {:>7}"
+    print("\none frame forward and its gradient, one system, milliseconds")
+    print(row.format("particles", "springs", "this engine", "reference", "ratio"))
+    for name, springs, both, slow in gradients:
+        print(row.format(name, springs, f"{both * 1e3:.2f}", f"{slow * 1e3:.2f}", f"{slow / both:.1f}"))
+
+
+def collided(system):
+    """The system with PhysTwin's self-collision, neighbours included."""
+    from ..physics.terms import SelfCollision
+
+    return replace(system, terms=(*system.terms, SelfCollision()))
+
+
+def near_of(system):
+    """The contact candidates of a system's start as Warp arrays on the GPU."""
+    import warp as wp
+
+    from ..physics.batch import Batch
+    from ..physics.contacts import candidates
+
+    batch = Batch([system], fps=30, substeps=1, device="cuda")
+    return [wp.from_torch(t) for t in candidates(batch, batch.inputs.x, batch.inputs.table)]
+
+
+def floor(batch, sync) -> float:
+    """Seconds that a frame of ``batch`` must take in the resident engine's shape."""
+    from ..physics.batch import Batch
+    from ..physics.packing import pack, waits
+    from ..physics.resident import Engine
+
+    engine, one = batch.resident, batch.systems[0]
+    packing = pack(one, True, engine.shape, batch._device)
+    ends = 2 * len(one.springs) / 32 / engine.shape.blocks  # a substep and block, warps
+    cycles = ends * max(READS * waits(packing), INSTRUCTIONS / ISSUED)
+    waves = -(-len(batch.systems) // engine.program(True).resident())
+    bare = replace(one, springs=one.springs[:0], rest=one.rest[:0], stiffness=one.stiffness[:0])
+    empty = Batch([bare], fps=30, substeps=PUBLISHED_SUBSTEPS, dt=float(batch.dt[0]), device="cuda")
+    empty.resident = Engine(empty, engine.shape)
+    return waves * (timed(lambda: empty.march(0, 4), sync) / 4 + PUBLISHED_SUBSTEPS * cycles / CLOCK)
 
 
 def forward_backward(batch) -> None:

@@ -15,6 +15,7 @@ from .hinges import assemble
 from .kernels import build
 from .laws import Laws
 from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
+from .resident import engine_for
 from .stability import stable_substeps
 from .system import System
 
@@ -41,7 +42,7 @@ class Batch:
     device    "cpu", "cuda" or "cuda:1"
     double    float64 instead of float32
     workers   CPU threads that share the systems (all cores by default; results do not depend on it)
-    team      CUDA only: (blocks per system, threads per block, lanes per particle)
+    team      CUDA only: (blocks per system, threads per block, lanes per particle) of the general kernels, which then step the batch
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class Batch:
         self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
         if self.twisting:
             self.inputs.directors = settled(self, self.inputs)
+        self.resident = None if team else engine_for(self)
 
     # ---------------------------------------------------------------- assembly
 
@@ -236,8 +238,14 @@ class Batch:
         inputs = inputs or self.inputs
         self._check(inputs)
         inputs = self.prepare(inputs)
+        if self.resident and frames and (self.resident.fits_back or not self._asks_back(inputs)):
+            out, x, v = self.resident.march(frame, frames, inputs)
+            return (out, x, v, Carried(inputs.memory, inputs.directors)) if whole else (out, x, v)
         out, x, v, memory, directors = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
         return (out, x, v, Carried(memory, directors)) if whole else (out, x, v)
+
+    def _asks_back(self, inputs):
+        return torch.is_grad_enabled() and any(getattr(inputs, f.name).requires_grad for f in fields(Inputs))
 
     def prepare(self, inputs: Inputs) -> Inputs:
         """``inputs`` as the setup terms make them: a torch function, so gradients reach the parameters that it reads."""
