@@ -20,7 +20,7 @@ from twinbench.benchmark.cli import main
 from twinbench.datasets import safe_pickle
 from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
-from twinbench.datasets.concealed.case import CLEAR, CONTROLS, Case
+from twinbench.datasets.concealed.case import CLEAR, CONTROLS, Case, build
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
 from twinbench.datasets.concealed.engines import ENGINES
 from twinbench.datasets.concealed.make import Folder, make
@@ -184,6 +184,19 @@ def test_the_same_seed_is_the_same_set_to_the_last_byte(tmp_path):
     assert one == again and one["root"] != other["root"]
     assert folder_digest(tmp_path / "a" / "cases") == folder_digest(tmp_path / "b" / "cases")
     assert len(one["cases"]) == 9 and one["undrawn"] == 0  # 3 controls, 2 effects x 2 levels, 1 outside, 1 pair
+
+
+@pytest.mark.slow
+def test_simulated_sets_repeat_to_the_last_byte(tmp_path, monkeypatch):
+    """The engines themselves, without anything standing in for them."""
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr(making, "build", build)
+    small = Preset(controls=1, levels=(2.0,), outside=0, pairs=0, effects=1)
+    one, again = (make(tmp_path / n, preset=small, seed="x", engines=("mujoco", "finite")) for n in "ab")
+    assert one == again and len(one["cases"]) == 2
+    outsides = [outside_of(case) for case in sorted((tmp_path / "a" / "cases").iterdir())]
+    kept = [json.loads(f.read_text())["label"]["simulated_by"] for f in sorted((tmp_path / "a" / "sealed").glob("case_*.json"))]
+    assert len({frozenset(k for k in o if " is " in k) for o in outsides}) == 1, kept  # files and types are those of either engine
 
 
 def test_the_manifest_holds_every_hash_and_no_label(tmp_path):

@@ -107,6 +107,7 @@ FIGURES = {f.name: f for f in figures(ROWS)}
         ("named or one of two at twice the floor, macro", (1 / 2 + 2 / 3) / 2, 5),
         ("named or one of two, macro", (1 / 2 + 2 / 4) / 2, 6),
         ("likeliest name right, said or not, macro", (1 / 2 + 2 / 4) / 2, 6),
+        ("right among the two likeliest names, macro", (1 / 2 + 3 / 4) / 2, 6),
         ("named wrong", 2 / 6, 6),
         # added mass: 1 of 2 named so, of which all right: 2 / (2 + 1); wind: 1 right, 4 true, 2 said (one of them of added mass)
         ("macro F1 of names", (2 / 3 + 2 / 6) / 2, 6),

@@ -92,6 +92,7 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
         _over("named or one of two at twice the floor, macro", twice, _hit("of_two"), _macro, goal=0.85),
         _over("named or one of two, macro", effects, _hit("of_two"), _macro),
         _over("likeliest name right, said or not, macro", effects, lambda r: (r.truth, r.rank == 1), _macro),
+        _over("right among the two likeliest names, macro", effects, lambda r: (r.truth, r.rank <= 2), _macro),
         _over("macro F1 of names", effects, lambda r: (r.truth, r.said if r.named else None), _macro_f1),
         _share("named wrong", [r.named and not r.first for r in effects], better="lower"),
         _over("size found in 80 % of cases", effects, _sized("alarm"), _size_at, unit="floors"),
