@@ -24,12 +24,21 @@ __all__ = ["Scored", "markdown", "score_set", "terminal", "write_scores"]
 
 JUDGE = "diagnosis"  # whose controls say what a twin of a sound body is off by, for all rivals alike
 CEILING = "oracle"
-# figures of everybody's table
-COMPARED = (
-    *("false alarms", "effects found", "named first at twice the floor, macro", "named or one of two at twice the floor, macro"),
-    *("named wrong", "place F1", "amplitude, error", "share of the oracle's gain, heldout", "share of the oracle's gain, transfer"),
-    *("catalogued against outside, area under the curve", "outside yet named", "calibration error"),
-)
+# figures of everybody's table, and what its columns are called
+COMPARED = {
+    "false alarms": "alarms",
+    "effects found": "found",
+    "named first at twice the floor, macro": "named 2x",
+    "named or one of two at twice the floor, macro": "of two 2x",
+    "named wrong": "wrong",
+    "place F1": "place",
+    "amplitude, error": "amplitude",
+    "share of the oracle's gain, heldout": "held-out gain",
+    "share of the oracle's gain, transfer": "transfer gain",
+    "catalogued against outside, area under the curve": "open set",
+    "outside yet named": "outside named",
+    "calibration error": "calibration",
+}
 Scored = Mapping[str, tuple[dict, list[Row], list[Figure]]]
 
 
@@ -60,16 +69,16 @@ def score_set(root: str | Path) -> Scored:
 def compared(scored: Scored) -> Grid:
     """Everybody's main figures; and how likely a difference in right names from the first rival is by chance (McNemar)."""
     first = next(iter(scored))
-    by_name = {rival: {f.name: f for f in found} for rival, (_, _, found) in scored.items()}
-    header = ("figure", *scored)
-    rows = [(name, *(_value(by_name[rival][name]) for rival in scored)) for name in COMPARED]
 
     def right(rival):
         return [r.first for r in scored[rival][1] if r.kind == "effect"]
 
-    rows.append((f"names differ from {first}, p", *("-" if r == first else f"{mcnemar(right(first), right(r)):.3f}" for r in scored)))
-    rows.append(("status", *(scored[rival][0]["status"] for rival in scored)))
-    return Grid("Everybody", header, tuple(rows))
+    rows = []
+    for rival, (status, _, found) in scored.items():
+        by_name = {f.name: f for f in found}
+        differs = "-" if rival == first else f"{mcnemar(right(first), right(rival)):.3f}"
+        rows.append((rival, *(_value(by_name[name]) for name in COMPARED), differs, status["status"]))
+    return Grid("Everybody", ("rival", *COMPARED.values(), "p", "status"), tuple(rows))
 
 
 def story(found: Sequence[Figure], name: str) -> Grid:
