@@ -156,7 +156,8 @@ class ReferenceEngine:
         start = np.concatenate([system.positions, system.controllers[0]])
         still = np.zeros_like(start)
         kept = substeps + 1
-        self.x, self.v = [vectors(start) for _ in range(kept)], [vectors(still) for _ in range(kept)]
+        speed = np.concatenate([system.velocities, still[self.count :]])
+        self.x, self.v = [vectors(start) for _ in range(kept)], [vectors(speed) for _ in range(kept)]
         self.force = [vectors(still) for _ in range(substeps)]
         self.pushed = [vectors(still) for _ in range(substeps)]
         self.met = [vectors(still) for _ in range(substeps)] if near is not None else self.pushed
@@ -211,7 +212,10 @@ class ReferenceEngine:
         self._frame()
 
     def frame_and_gradient(self):
-        """The same, and the gradient of the sum of |x|^2 with respect to every spring's log stiffness and the contact parameters."""
+        """The same, and the gradient of the sum of |x|^2 with respect to every spring's log stiffness and the contact parameters.
+
+        With self-collision only its time is meant: Warp's tape does not get through the loop over contacts right.
+        """
         self._frame_and_gradient()
 
     def positions(self) -> np.ndarray:
