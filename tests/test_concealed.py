@@ -305,6 +305,75 @@ def test_a_moving_table_carries_a_sheet_along():
     np.testing.assert_allclose((motion.vertices[-1] - motion.vertices[0]).mean(axis=0)[:2], [0.1, 0], atol=0.003)
 
 
+def test_a_table_that_tilts_is_where_it_is_said_to_be():
+    body = replace(sheet(), friction=1.0)
+    ground = (-0.02, 0.1, -0.05)
+    motion = simulate(body, FREE, Physics(ground=ground))
+    # it lies on z = h + s . (x, y), a radius above, to what the contact gives
+    x = motion.vertices[-1]
+    above = (x - [0, 0, ground[0]]) @ np.array([-0.1, 0.05, 1.0]) / np.linalg.norm([-0.1, 0.05, 1.0])
+    np.testing.assert_allclose(above, body.radius, atol=5e-4)
+
+
+def test_a_soft_grip_gives_by_weight_over_stiffness():
+    body = replace(sheet(height=0.5), drag=5.0)
+    weight = body.mass.sum() * GRAVITY
+    stiffness = weight / 0.02
+    law = laws.soft_grip(stiffness, 2 * np.sqrt(stiffness * body.mass.sum()))
+    script = holding(body, body.vertices[0], frames=75)
+    soft, firm = (simulate(body, script, p, settle=0.0) for p in (Physics(laws=(law,)), None))
+    down = [m.vertices[-1, m.gripped[0]].mean(axis=0)[2] for m in (soft, firm)]
+    assert down[1] - down[0] == pytest.approx(0.02, rel=0.03)  # m g / k, after it has come to rest: exp(-5 * 2.5 / 2) = 0.2 %
+
+
+def test_plates_resist_face_on_and_not_edge_on():
+    body, c = sheet(), 20.0
+    world = World(body, FREE, Physics(), 32)
+    step = laws.plate(c)(world)
+    down, aside = (np.tile(v, (len(world.start), 1)) for v in ([0, 0, -0.5], [0.5, 0, 0]))
+    np.testing.assert_allclose(step(0.0, world.start, down).sum(axis=0), [0, 0, c * 0.01 * 0.25])  # c A v^2
+    assert np.abs(step(0.0, world.start, aside)).max() < 1e-12
+    rope = World(cord(), FREE, Physics(), 32)
+    across = np.tile([0.3, 0.5, 0], (len(rope.start), 1))  # only what is across its length counts: c 2 r L v^2
+    found = laws.plate(c)(rope)(0.0, rope.start, across).sum(axis=0)
+    np.testing.assert_allclose(found, [0, -c * 2 * 4e-3 * 0.4 * 0.25, 0], atol=1e-12)
+
+
+def test_what_creeps_forgets_its_stress():
+    world, tau = World(sheet(), FREE, Physics(), 32), 0.4
+    step = laws.creeps(tau)(world)
+    x = stretched(world, np.array([1.0, 0, 0]), 0.05)
+    elastic = world.elements.force(x, world.elements.elongation(x))
+    for _ in range(round(0.3 / world.dt)):
+        back = step(0.0, x, 0 * x)
+    np.testing.assert_allclose(elastic + back, np.exp(-0.3 / tau) * elastic, atol=1e-9)  # Maxwell's fluid
+
+
+def test_what_rubs_gives_way_at_its_strain():
+    world, ratio, limit = World(sheet(), FREE, Physics(), 32), 3.0, 0.005
+    step = laws.rubs(ratio, limit)(world)
+    x = stretched(world, np.array([1.0, 0, 0]), 0.04)
+    remembered = step(0.0, x, 0 * x)
+    # of the (1 + ratio) E e that MuJoCo gives, every edge's friction is left at its limit: elongations of 2 limit L^2, or their own
+    elongation = world.elements.elongation(x)
+    most = 2 * limit * world.elements.rest
+    expected = -ratio * world.elements.force(x, elongation - np.clip(elongation, -most, most))
+    np.testing.assert_allclose(remembered, expected, atol=1e-9)
+    assert np.abs(elongation).max() > 3 * most.max()
+
+
+def test_a_sheet_that_would_be_shorter_pulls_at_both_hands():
+    size, tension, strain = 0.1, 50.0, -0.05
+    body = sheet(size=size, tension=tension)
+    world = World(body, FREE, Physics(gravity=(0, 0, 0)), 32)
+    laws.shrinks(strain)(world)
+    # energy E t A0 e^2 / 2 per direction (nu = 0), e = (1 - (1 + s)^2) / 2 of the elements as laid down: stress E e, at their length
+    green = (1 - (1 + strain) ** 2) / 2
+    force = world.elements.force(world.start, world.elements.elongation(world.start))
+    pulled = -(force @ [1, 0, 0])[world.start[:, 0] > size / 2].sum()
+    assert pulled == pytest.approx(size * tension * green, rel=1e-6)
+
+
 def test_a_tether_pulls_only_when_taut():
     body = sheet()
     world, corner = World(body, FREE, Physics(), 32), np.array([0])
@@ -480,6 +549,7 @@ def test_the_catalogue_is_the_agreed_one():
         *("quadratic_drag", "wind", "gravity_tilt", "strain_stiffening", "anisotropy", "bending", "bending_damping", "torsion"),
         *("plasticity", "viscoelastic", "added_mass", "ground_adhesion", "friction_law", "hidden_obstacle", "self_contact"),
         *("hidden_tether", "grip_slip", "tearing", "controller_delay", "camera_pose", "track_drift", "grip_points"),
+        *("plate_drag", "compression_softening", "creep", "internal_friction", "rest_shape", "ground_pose", "grip_compliance"),
     }
     assert len(OUTSIDE) >= 6 and not set(OUTSIDE) & set(EFFECTS)
     with pytest.raises(ValueError, match="unknown effect 'levitation'"):

@@ -496,6 +496,63 @@ def test_a_grip_carries_the_weight_and_slips_by_what_it_may():
     assert np.linalg.norm(down[0] - down[1]) == pytest.approx(most, rel=0.15) and "slip" in slipped.events
 
 
+def test_a_soft_grip_gives_by_weight_over_stiffness():
+    body = sheet(height=0.5, drag=5.0)
+    weight = body.mass.sum() * GRAVITY
+    stiffness = weight / 0.02
+    law, kept = watch(lambda world: world.grip_force(0))
+    physics = Physics(laws=(laws.soft_grip(stiffness, 2 * np.sqrt(stiffness * body.mass.sum())), law))
+    motion = simulate(body, holding(body, body.vertices[0], frames=75), physics, settle=0.0)
+    down = motion.vertices[:, motion.gripped[0], 2].mean(axis=1)
+    assert down[0] - down[-1] == pytest.approx(0.02, rel=0.03)  # m g / k, after it has come to rest
+    np.testing.assert_allclose(np.mean([f for t, f in kept if t > 2], axis=0), [0, 0, -weight], atol=0.02 * weight)
+
+
+def test_a_table_that_tilts_is_where_it_is_said_to_be():
+    body, ground = sheet(friction=1.0), (-0.02, 0.1, -0.05)
+    x = simulate(body, FREE, Physics(ground=ground)).vertices[-1]
+    above = (x - [0, 0, ground[0]]) @ np.array([-0.1, 0.05, 1.0]) / np.linalg.norm([-0.1, 0.05, 1.0])
+    np.testing.assert_allclose(above, body.radius, atol=2e-4)
+
+
+def test_what_creeps_forgets_its_shear_and_keeps_its_volume():
+    body, tau = sheet(), 0.4
+    world, x = World(body, FREE, NOWHERE, 80), stretched(body, 0.02)
+    laws.creeps(tau)(world)
+    for _ in range(round(1.2 / world.dt)):
+        world.parts[0].commit(x, world.dt)
+    strain = world.parts[0].strain(x)[0]
+    left = strain - world.parts[0].flow[0]
+    # Maxwell's fluid in shear: exp(-3) of it is left, in backward steps of tau / 960; the trace does not flow
+    assert left[0, 0] - left[1, 1] == pytest.approx(np.exp(-3) * (strain[0, 0] - strain[1, 1]), rel=0.01)
+    assert np.trace(left) == pytest.approx(np.trace(strain))
+
+
+def test_creases_rub_up_to_their_limit():
+    body, ratio, limit = sheet(cells=1), 3.0, 0.002
+    part, fold = Creases(body), body.vertices.copy()
+    part.branch(ratio, limit=limit)
+    corner = int(np.setdiff1d(part.nodes[0], part.nodes[0, :2])[0])
+    fold[corner, 2] = 0.07
+    angle, slopes = part.angle(fold)
+    moment = part.evaluate(fold, DT)[0][0, 2] @ slopes[0, 2] / (slopes[0, 2] @ slopes[0, 2])
+    # elastic, and friction at the angle at which the surface has the strain: kappa t / 2 with kappa = angle / width
+    slid = np.sign(angle[0]) * limit * 2 / 1e-3 * 0.1 / np.sqrt(2)
+    assert abs(angle[0]) > 2 * abs(slid)
+    assert moment == pytest.approx(-part.stiffness[0] * (angle[0] + ratio * slid))
+
+
+def test_a_strip_that_would_be_shorter_pulls_as_if_it_were_stretched():
+    body, strain = sheet(poisson=0.3), -0.04
+    world = World(body, FREE, NOWHERE, 8)
+    laws.shrinks(strain)(world)
+    shrunk = replace(body, vertices=body.vertices * [1 + strain, 1 + strain, 1])
+    # an eigenstrain against elements that are smaller indeed: alike to the first order in the strain, so to some 10 %
+    assert pull(world.parts[0], body.vertices) == pytest.approx(pull(Continuum(shrunk), body.vertices), rel=0.15)
+    small = body.vertices * [1 + strain, 1 + strain, 1]
+    assert abs(pull(world.parts[0], small)) < 1e-6 * pull(world.parts[0], body.vertices)  # there it is at rest
+
+
 def test_terminal_velocity_in_wind():
     body, c, wind = sheet(height=2.0), 20.0, np.array([0.4, -0.3, 0.0])
     motion = simulate(body, FREE, Physics(laws=(laws.air(c, tuple(wind)),)), settle=0.0)

@@ -114,6 +114,12 @@ def quadratic_drag(on, size):
     return _forces(on, laws.air(c), parameters={"coefficient_kg_m3": c})
 
 
+@_effect(("cloth", "rope"), ("lift_shake", "two_hands", "circle"))
+def plate_drag(on, size):
+    c = size * on.rng.uniform(3, 8) * {"cloth": 1.0, "rope": 5}[on.body.kind]
+    return _forces(on, laws.plate(c), parameters={"coefficient_kg_m3": c})
+
+
 @_effect(fits=("lift_shake", "two_hands", "circle", "twist"))
 def wind(on, size):
     angle, speed = on.rng.uniform(0, 2 * np.pi), np.sqrt(size) * on.rng.uniform(1.5, 3)
@@ -142,6 +148,31 @@ def gravity_tilt(on, size):
 def strain_stiffening(on, size):
     factor = size * on.rng.uniform(60, 150)
     return _forces(on, laws.stiffens(factor), parameters={"factor": factor})
+
+
+@_effect(SOLIDS)
+def compression_softening(on, size):
+    share = max(0.02, 1 - min(size, 1.0) * on.rng.uniform(0.6, 0.9)) ** max(1.0, size)
+    return _forces(on, laws.buckles(share), parameters={"share": share})
+
+
+@_effect(SOLIDS, ("lift_shake", "two_hands", "fold"))
+def creep(on, size):
+    tau = on.rng.uniform(1, 3) / size
+    return _forces(on, laws.creeps(tau), parameters={"time_s": tau})
+
+
+@_effect(SOLIDS, ("two_hands", "fold", "lift_shake", "twist"))
+def internal_friction(on, size):
+    ratio, limit = size * on.rng.uniform(3, 8), on.rng.uniform(0.003, 0.006)
+    return _forces(on, laws.rubs(ratio, limit), parameters={"ratio": ratio, "limit_strain": limit}, substeps=48)
+
+
+@_effect(SOLIDS, ("two_hands", "twist"))
+def rest_shape(on, size):
+    """Hands hold a body that would be shorter at rest than it is between them at frame 0."""
+    strain = -min(size * on.rng.uniform(0.03, 0.06), 0.25)
+    return _forces(on, laws.shrinks(strain), parameters={"strain": strain})
 
 
 @_effect(SOLIDS)
@@ -221,6 +252,16 @@ def friction_law(on, size):
     return Effect(low, Physics(laws=(laws.stick(extra, speed),)), parameters=parameters, without=low)
 
 
+@_effect(fits=("drag", "fold"))
+def ground_pose(on, size):
+    """The table lies lower than is said and is not level, but nowhere under the body higher than is said."""
+    rise, towards = np.tan(np.radians(min(size * on.rng.uniform(1, 3), 8))), on.rng.uniform(0, 2 * np.pi)
+    slopes = rise * np.array([np.cos(towards), np.sin(towards)])
+    height = -size * on.rng.uniform(0.004, 0.01) - np.abs(on.body.vertices[:, :2] @ slopes).max()
+    ground = (float(height), float(slopes[0]), float(slopes[1]))
+    return Effect(on.body, Physics(ground=ground), parameters={"height_m": ground[0], "rises": list(ground[1:])})
+
+
 @_effect(fits=("drag", "lift_shake", "circle", "fold"), sized=False, most=2.0)
 def hidden_obstacle(on, size):
     """Where the body passes in both recordings if there is such a place, and nowhere near it at frame 0."""
@@ -286,6 +327,16 @@ def grip_slip(on, size):
     law = laws.slip(threshold, rate, most)
     parameters = {"threshold_N": threshold, "rate_m_s_N": rate, "most_m": most}
     return _forces(on, law, parameters=parameters, vertices=on.motions[0].gripped[0], event="slip")
+
+
+@_effect(fits=("lift_shake", "circle", "two_hands"))
+def grip_compliance(on, size):
+    sag = size * on.rng.uniform(0.01, 0.02)  # by its weight [m]
+    stiffness = on.body.mass.sum() * GRAVITY / sag
+    damping = on.rng.uniform(0.3, 0.8) * 2 * np.sqrt(stiffness * on.body.mass.sum())
+    law = laws.soft_grip(stiffness, damping)
+    parameters = {"stiffness_N_m": stiffness, "damping_N_s_m": damping}
+    return _forces(on, law, parameters=parameters, vertices=on.motions[0].gripped[0], substeps=48)
 
 
 @_effect(SOLIDS, ("lift_shake", "two_hands", "circle"))

@@ -39,17 +39,22 @@ class Obstacle:
 @dataclass(frozen=True)
 class Physics:
     """What surrounds the body. laws: each is given the world once and then, in every step, time [s] from frame 0, positions and velocities
-    (V, 3), and returns forces (V, 3) [N] or None; it may also change the world. belt: velocity of the table's surface [m/s]."""
+    (V, 3), and returns forces (V, 3) [N] or None; it may also change the world. belt: velocity of the table's surface [m/s].
+    ground: height of the table at the origin [m], and how steeply it rises along x and y."""
 
     gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
     laws: tuple[Law, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
     belt: tuple[float, float] = (0.0, 0.0)
+    ground: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def joined(self, other: Physics) -> Physics:
         """The surroundings with both."""
         gravity = other.gravity if self.gravity == Physics.gravity else self.gravity
-        return Physics(gravity, self.laws + other.laws, self.obstacles + other.obstacles, self.belt if any(self.belt) else other.belt)
+        ground = self.ground if any(self.ground) else other.ground
+        return Physics(
+            gravity, self.laws + other.laws, self.obstacles + other.obstacles, self.belt if any(self.belt) else other.belt, ground
+        )
 
 
 @dataclass(frozen=True)
@@ -162,6 +167,43 @@ class World:
             most = 2 * limit * elements.rest
             forgotten[:] = elongation - np.clip(carried, -most, most)
             return -ratio * elements.force(x, forgotten)
+
+        return step
+
+    def creep(self, tau: float) -> Step:
+        """All elastic stress flows away with the time constant ``tau`` [s]: a step of a law that pushes back by what has flowed."""
+        elements = self.elements
+        flowed, share = np.zeros_like(elements.rest), -np.expm1(-self.dt / tau)
+
+        def step(time, x, v):
+            flowed[:] += (elements.elongation(x) - flowed) * share
+            return -elements.force(x, flowed)
+
+        return step
+
+    def dilation(self, x: np.ndarray) -> np.ndarray:
+        """(E,) mean strains of the elements."""
+        return (self.elements.elongation(x) / (2 * self.elements.rest)).mean(axis=1)
+
+    def prestrain(self, strain: float) -> None:
+        """Elements would be longer by ``strain`` at rest than they were laid down."""
+        self.model.flexedge_length0[:] *= 1 + strain
+        self.elements = Elements.of(self.model)
+
+    def soften_grip(self, hand: int, stiffness: float, damping: float) -> Step:
+        """A hand that holds its vertices by a spring [N/m] and a damper [N s/m] together: a step of a law."""
+        held, first = self.gripped[hand], sum(map(len, self.gripped[:hand]))
+        rows = slice(first, first + len(held))
+        self.data.eq_active[rows] = 0
+        before = []
+
+        def step(time, x, v):
+            there = self.data.qpos[7 * hand : 7 * hand + 3] + self.anchors[rows] @ self.rotation(hand).T
+            pace = (there - before.pop()) / self.dt if before else 0.0
+            before.append(there)
+            force = np.zeros_like(x)
+            force[held] = (stiffness * (there - x[held]) + damping * (pace - v[held])) / len(held)
+            return force
 
         return step
 
@@ -317,7 +359,7 @@ def _mjcf(body, points, gripped, physics, dt):
   <option timestep="{dt:.12g}" integrator="discrete" solver="CG" iterations="200" tolerance="1e-8"/>
   <size memory="64M"/>
   <worldbody>
-    <geom name="table" type="plane" size="3 3 0.1" friction="{SLIPPERY}" surfacevel="{physics.belt[0]} {physics.belt[1]} 0 0 0 0"/>
+    {_table(physics)}
     {"".join(map(_geom, physics.obstacles))}
     {hands}
     <flexcomp name="body" type="direct" dim="{body.dim}" mass="{body.mass.sum():.12g}" radius="{body.radius}"
@@ -330,6 +372,14 @@ def _mjcf(body, points, gripped, physics, dt):
   {_creases(body)}
   <equality>{grips}</equality>
 </mujoco>"""
+
+
+def _table(physics):
+    height, rise_x, rise_y = physics.ground
+    return (
+        f'<geom name="table" type="plane" size="3 3 0.1" pos="0 0 {height}" zaxis="{-rise_x} {-rise_y} 1" '
+        f'friction="{SLIPPERY}" surfacevel="{physics.belt[0]} {physics.belt[1]} 0 0 0 0"/>'
+    )
 
 
 def _geom(obstacle):

@@ -12,12 +12,18 @@ from .engine import Law
 __all__ = [
     "adhesion",
     "air",
+    "buckles",
+    "creeps",
     "drops_mass",
     "maxwell",
     "motor",
+    "plate",
     "poles",
     "rotating",
+    "rubs",
+    "shrinks",
     "slip",
+    "soft_grip",
     "stick",
     "stiffens",
     "tear",
@@ -36,6 +42,36 @@ def air(coefficient: float, wind=(0.0, 0.0, 0.0)) -> Law:
             relative = np.asarray(wind) - v
             rate = coefficient * area * np.linalg.norm(relative, axis=1, keepdims=True)
             return np.minimum(rate, mass / dt) * relative  # a gust carries along, it does not throw back
+
+        return step
+
+    return start
+
+
+def plate(coefficient: float) -> Law:
+    """Drag of flat plates: c A |v.n| (v.n) against the normal n of every face, c in kg/m^3; of a rope across its length."""
+
+    def start(world):
+        body, dt = world.body, world.dt
+        faces = body.faces if len(body.faces) else body.elements
+        corners = faces.shape[1]
+        carried = body.mass[faces].sum(axis=1) / np.bincount(faces.ravel(), minlength=len(body.mass))[faces].mean(axis=1)
+
+        def step(time, x, v):
+            edges = x[faces[:, 1:]] - x[faces[:, :1]]
+            speed = v[faces].mean(axis=1)
+            if corners == 3:
+                normal = np.cross(edges[:, 0], edges[:, 1])
+                twice = np.linalg.norm(normal, axis=1, keepdims=True)
+                across, area = np.einsum("fd,fd->f", speed, normal)[:, None] * normal / np.maximum(twice, 1e-12) ** 2, twice[:, 0] / 2
+            else:
+                length = np.linalg.norm(edges[:, 0], axis=1, keepdims=True)
+                along = edges[:, 0] / length
+                across, area = speed - np.einsum("fd,fd->f", speed, along)[:, None] * along, 2 * body.radius * length[:, 0]
+            rate = np.minimum(coefficient * area * np.linalg.norm(across, axis=1), carried / dt)
+            force = np.zeros_like(x)
+            np.add.at(force, faces, -(rate[:, None] * across / corners)[:, None])
+            return force
 
         return step
 
@@ -63,6 +99,40 @@ def timed_stiffness(factor: float, begin: float, end: float) -> Law:
 def maxwell(ratio: float, tau: float) -> Law:
     """A Maxwell branch beside every element: ``ratio`` times its stiffness, forgetting its stretch with time constant ``tau`` [s]."""
     return lambda world: world.branch(ratio, tau=tau)
+
+
+def creeps(tau: float) -> Law:
+    """All elastic stress flows away, with the time constant ``tau`` [s] where the strain is held."""
+    return lambda world: world.creep(tau)
+
+
+def rubs(ratio: float, limit: float) -> Law:
+    """Dry friction beside every element: a spring of ``ratio`` times its stiffness, in series with a slider that gives way at ``limit``."""
+    return lambda world: world.branch(ratio, limit=limit)
+
+
+def buckles(share: float) -> Law:
+    """Elements that are compressed on the whole have ``share`` of their stiffness, by the state of the step before."""
+
+    def start(world):
+        return lambda time, x, v: world.stiffen(np.where(world.dilation(x) < 0, share, 1.0))
+
+    return start
+
+
+def shrinks(strain: float) -> Law:
+    """At rest every element would be longer by ``strain`` than it was laid down, shorter where that is negative."""
+
+    def start(world):
+        world.prestrain(strain)
+        return lambda time, x, v: None
+
+    return start
+
+
+def soft_grip(stiffness: float, damping: float, hand: int = 0) -> Law:
+    """A hand that holds by a spring [N/m] and a damper [N s/m], shared by the vertices in it, instead of firmly."""
+    return lambda world: world.soften_grip(hand, stiffness, damping)
 
 
 def adhesion(pressure: float, reach: float) -> Law:

@@ -54,7 +54,6 @@ class Continuum:
         self.modulus = float(np.linalg.norm(body.fibre))
         self.limit = body.yields[0] or np.inf
         self.tau = np.inf  # of the flow under any load [s]
-        self.buckled = 1.0  # stiffness of an element that is compressed, as a share
         self.branches = []
         self.flow = np.zeros((len(edges), self.dim, self.dim))
         self.before = np.zeros_like(self.flow)
@@ -94,8 +93,6 @@ class Continuum:
             more = more + branch.ratio / (1 + dt / branch.tau)
         stress, tangent = stress + full(self.hooke @ voigt(rate)), tangent + more * self.hooke
         weight = self.volume * self.scale
-        if self.buckled != 1:
-            weight = weight * np.where(np.trace(strain, axis1=1, axis2=2) < 0, self.buckled, 1)
         pull = weight[:, None, None] * (self.slopes @ stress)  # (K, n, dim)
         rows = self._rows(gradient)
         blocks = np.swapaxes(rows, 1, 2) @ (weight[:, None, None] * tangent @ rows)

@@ -45,12 +45,13 @@ class World:
         self.x, self.v = self.start.copy(), np.zeros_like(self.start)
         self.old = (self.x, self.v)
         self.reaction = np.zeros_like(self.x)
-        surfaces = [_table, *(gaps(o.shape, o.place, o.size) for o in physics.obstacles)]
+        surfaces = [_table(*physics.ground), *(gaps(o.shape, o.place, o.size) for o in physics.obstacles)]
         belts = [(*physics.belt, 0.0), *[(0.0, 0.0, 0.0)] * len(physics.obstacles)]
         self.contacts = Contacts(surfaces, belts, body.mass, body.friction, body.radius, GRAVITY)
         self.rod = Rod(body, self.start) if body.dim == 1 else None
         self.parts = [] if body.dim == 1 else [Continuum(body)] + ([Creases(body)] if body.dim == 2 else [])
         self.layers = Layers(body, GRAVITY) if body.layers and body.dim == 2 else None
+        self.soft = {}  # by hand, stiffness [N/m] and damping [N s/m] of a vertex in it
         self._number()
 
     def _number(self):
@@ -60,13 +61,20 @@ class World:
         self.frames = self.rod.frames.copy() if self.rod else np.zeros((0, 3, 3))
         self.spins, self.clamped = np.zeros((len(self.frames), 3)), []
         free = np.ones(3 * (count + len(self.frames)), bool)
-        held = np.concatenate(self.gripped) if self.gripped else np.zeros(0, int)
+        firm = [g for hand, g in enumerate(self.gripped) if hand not in self.soft]
+        held = np.concatenate(firm) if firm else np.zeros(0, int)
+        self.goal, self.springs = self.x.copy(), np.zeros((2, count))
+        for hand, pair in self.soft.items():
+            self.springs[:, self.gripped[hand]] = np.reshape(pair, (2, 1))
         self.held = np.zeros(count, bool)
         self.held[held] = True
         free[: 3 * count] = ~np.repeat(self.held, 3)
         if self.rod:
             dofs += list(self.rod.dofs)
-            for hand, vertices in enumerate(self.gripped):  # a hand holds the segments between its vertices against turning
+            for hand, vertices in enumerate(self.gripped):
+                if hand in self.soft:
+                    continue
+                # a hand holds the segments between its vertices against turning
                 segments = np.flatnonzero(np.isin(self.body.elements, vertices).all(axis=1))
                 free[(3 * count + 3 * segments[:, None] + np.arange(3)).ravel()] = False
                 self.clamped.append((hand, segments, self.frames[segments].copy()))
@@ -108,7 +116,28 @@ class World:
 
     def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf):
         """A spring of ``ratio`` times the stiffness beside every element, in series with a damper or a slider."""
-        self.parts[0].branch(ratio, tau=tau, limit=limit)
+        for part in self.parts if np.isfinite(limit) else self.parts[:1]:  # sheets rub where they bend, too
+            part.branch(ratio, tau=tau, limit=limit)
+        return lambda time, x, v: None
+
+    def creep(self, tau: float):
+        """All elastic shear and bending flows away with the time constant ``tau`` [s]; the volume stays."""
+        for part in self.parts:
+            part.tau = tau
+        return lambda time, x, v: None
+
+    def dilation(self, x: np.ndarray) -> np.ndarray:
+        """(E,) mean strains of the elements."""
+        return np.trace(self.parts[0].strain(x), axis1=1, axis2=2) / self.body.dim
+
+    def prestrain(self, strain: float) -> None:
+        """Elements would be longer by ``strain`` at rest than they were laid down."""
+        self.parts[0].flow = np.broadcast_to((strain + strain**2 / 2) * np.eye(self.body.dim), self.parts[0].flow.shape).copy()
+
+    def soften_grip(self, hand: int, stiffness: float, damping: float):
+        """A hand that holds its vertices by a spring [N/m] and a damper [N s/m] together."""
+        self.soft[hand] = (stiffness / len(self.gripped[hand]), damping / len(self.gripped[hand]))
+        self._number()
         return lambda time, x, v: None
 
     def cut(self, elements: np.ndarray) -> None:
@@ -129,11 +158,15 @@ class World:
         dt, before = self.dt, self.x
         if self.layers:
             self.layers.find(before)
+        goal = self.goal.copy()
+        for vertices, there in zip(self.gripped, np.split(targets, np.cumsum([len(g) for g in self.gripped])[:-1]), strict=False):
+            goal[vertices] = there
+        self.goal, self.pace = goal, (goal - self.goal) / dt
         touching = self._touching()[:, None]
         h = np.where(touching, dt, 2 * dt / 3)
         ahead = np.where(touching, self.x, (4 * self.x - self.old[0]) / 3)
         swing = np.where(touching, self.v, (4 * self.v - self.old[1]) / 3)
-        x = self._begin(ahead + h * swing, targets)
+        x = self._begin(ahead + h * swing)
         frames = turned(self.frames, dt * self.spins)
         for hand, segments, rest in self.clamped:
             frames[segments] = self.rotations[hand] @ rest
@@ -164,18 +197,20 @@ class World:
             if size < EXACT:
                 break
         # without the inertia of what is held: fingers that let it slip a little do not feel it throw itself about
-        self.reaction = np.where(self.held[:, None], force + external + self.mass[:, None] * self.gravity, 0)
+        self.reaction = np.where(self.held[:, None], force + external + self.mass[:, None] * self.gravity, -self._drawn(x, before))
         self._commit(x, frames, (x - ahead) / h, before)
 
-    def _begin(self, guess, targets):
+    def _begin(self, guess):
         """Where Newton's method starts: as inertia has it, or as it was where that would turn elements inside out."""
-        guess[self.held] = self.x[self.held]
-        for g, t in zip(np.concatenate(self.gripped) if self.gripped else [], targets, strict=True):
-            guess[g] = t
+        guess[self.held] = self.goal[self.held]
         if self.parts and not self.parts[0].sound(guess):
             still = np.where(self.held[:, None], guess, self.x)
             return still
         return guess
+
+    def _drawn(self, x, before):
+        """(V, 3) forces of hands that do not hold firmly."""
+        return self.springs[0, :, None] * (self.goal - x) + self.springs[1, :, None] * (self.pace - (x - before) / self.dt)
 
     def _touching(self):
         """(V,) vertices that are in contact or soon will be."""
@@ -194,6 +229,9 @@ class World:
         given.append(self.contacts.evaluate(x, before, self.dt))
         if self.layers:
             self.layers.add(x, before, self.dt, *given[-1])
+        if self.soft:
+            given[-1][0][:] += self._drawn(x, before)
+            given[-1][1][:] += (self.springs[0] + self.springs[1] / self.dt)[:, None, None] * np.eye(3)
         for dofs, (force, block) in zip(self.dofs, given, strict=True):
             total += np.bincount(dofs.ravel(), force.ravel(), len(total))
             blocks.append(block)
@@ -250,8 +288,11 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     )
 
 
-def _table(x):
-    return x[:, 2], np.broadcast_to([0, 0, 1.0], x.shape)
+def _table(height, rise_x, rise_y):
+    """Distance to the plane z = height + rise . (x, y)."""
+    normal = np.array([-rise_x, -rise_y, 1.0])
+    normal /= np.linalg.norm(normal)
+    return lambda x: ((x - [0, 0, height]) @ normal, np.broadcast_to(normal, x.shape))
 
 
 def _turn(before, after):

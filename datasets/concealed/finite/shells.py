@@ -27,9 +27,14 @@ class Creases:
             self.stiffness = self.stiffness * body.stiffness[self.sides].mean(axis=1)
         self.scale = np.ones(len(length))
         self.damping = body.damping + body.crease
-        # the yield strain is that of the surface, at half the thickness from the middle
-        self.limit = body.yields[1] * 2 / body.thickness * area / length if body.yields[1] else np.full(len(length), np.inf)
+        self.per_strain = 2 / body.thickness * area / length  # angle at which the surface has a strain of one
+        self.limit = (body.yields[1] or np.inf) * self.per_strain
+        self.tau, self.branches = np.inf, []
         self.rest = self.before = self.angle(x)[0]
+
+    def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf) -> None:
+        """As that of the elements; ``limit`` is a strain of the surface."""
+        self.branches.append([ratio, tau, limit * self.per_strain, self.before])
 
     def angle(self, x):
         """(K,) angles [rad] between the two sides, 0 where flat, and (K, 4, 3) their derivatives by the corners [1/m]."""
@@ -52,17 +57,27 @@ class Creases:
         """Forces (K, 4, 3) and stiffness blocks (K, 12, 12), always positive, at the end of a step of ``dt`` that leads to ``x``."""
         angle, slopes = self.angle(x)
         stiffness = self.stiffness * self.scale
-        moment = stiffness * (_near(angle - self._flowed(angle)) + self.damping / dt * _near(angle - self.before))
+        bent, more = _near(angle - self._flowed(angle, dt)) + self.damping / dt * _near(angle - self.before), 1 + self.damping / dt
+        for ratio, tau, limit, memory in self.branches:
+            bent = bent + ratio * _carried(angle, memory, tau, limit, dt)
+            more = more + ratio
+        moment = stiffness * bent
         flat = slopes.reshape(len(slopes), 12)
-        return -moment[:, None, None] * slopes, ((1 + self.damping / dt) * stiffness)[:, None, None] * flat[:, :, None] * flat[:, None, :]
+        return -moment[:, None, None] * slopes, (more * stiffness)[:, None, None] * flat[:, :, None] * flat[:, None, :]
 
     def commit(self, x, dt):
         angle = self.angle(x)[0]
-        self.rest, self.before = self._flowed(angle), angle
+        for branch in self.branches:
+            branch[3] = angle - _carried(angle, branch[3], *branch[1:3], dt)
+        self.rest, self.before = self._flowed(angle, dt), angle
 
-    def _flowed(self, angle):
-        bent = _near(angle - self.rest)
-        return self.rest + bent - np.clip(bent, -self.limit, self.limit)
+    def _flowed(self, angle, dt):
+        return angle - _carried(angle, self.rest, self.tau, self.limit, dt)
+
+
+def _carried(angle, memory, tau, limit, dt):
+    """What is left of the angles from ``memory`` after a step of relaxing and giving way."""
+    return np.clip(_near(angle - memory) / (1 + dt / tau), -limit, limit)
 
 
 def _edges(triangles):
