@@ -1,5 +1,6 @@
 """The implicit finite elements of the concealed set against closed forms of beams, plates, rods, chains, friction and materials."""
 
+import json
 from dataclasses import replace
 from itertools import pairwise
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from twinbench.datasets.concealed import bodies, laws
 from twinbench.datasets.concealed.bodies import Body, lumped
+from twinbench.datasets.concealed.case import build
 from twinbench.datasets.concealed.engine import Obstacle, Physics, Unstable
 from twinbench.datasets.concealed.engines import ENGINES, engine
 from twinbench.datasets.concealed.finite import World, simulate
@@ -559,6 +561,15 @@ def test_terminal_velocity_in_wind():
     terminal = np.sqrt(body.mass.sum() * GRAVITY / (c * body.area.sum()))  # m g = c A v^2
     speed = (motion.vertices[-1] - motion.vertices[-2]).mean(axis=0) * 30
     np.testing.assert_allclose(speed, wind - [0, 0, terminal], atol=5e-3 * terminal)
+
+
+@pytest.mark.slow
+def test_one_seed_one_case_of_the_named_engine():
+    one, again = (build("effect", "gravity_tilt", "rope", seed=3, engine="finite") for _ in range(2))
+    for name in ("points", "visible", "controllers", "surface"):
+        np.testing.assert_array_equal(getattr(one.fit, name), getattr(again.fit, name))
+    assert json.dumps(one.label) == json.dumps(again.label) and "finite" in one.label["engine"]
+    assert 0.010 <= one.label["displacement"] <= 0.060 and one.label["chaos"] < 0.015
 
 
 def test_engines_by_name():

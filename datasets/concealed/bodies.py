@@ -14,7 +14,7 @@ __all__ = ["BODIES", "Body", "draw"]
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A flex as MuJoCo takes it.
+    """A body as engines take it.
 
     kind       cloth, rope or plush
     vertices   (V, 3) rest positions [m], the lowest on z = 0

@@ -24,7 +24,7 @@ Law = Callable[["World"], Step]
 
 
 class Unstable(RuntimeError):
-    """MuJoCo's solution cannot be trusted."""
+    """An engine's solution cannot be trusted."""
 
 
 @dataclass(frozen=True)
