@@ -32,6 +32,8 @@ KEPT = {256: ((36, 24), 24), 384: ((36, 0), 16), 512: ((24, 0), 8), 1024: ((4, 0
 # springs take, and what they take more beyond the first ENOUGH that a block's registers hold
 EXCHANGE, PER_ENDS, STREAMED, ENOUGH = {1: 1000.0, 2: 1700.0, 4: 2200.0, 8: 1700.0, 16: 2800.0}, 13.5, 10.0, 400.0
 WHOLE = 0.92  # share of a chip's processors that clusters of four and more find together
+# the general kernels, which spread one system over the whole chip: a substep without springs, and 32 ends more
+GENERAL, GENERAL_ENDS = 6500.0, 0.72
 
 INTS = "blocks row_node row_send send slice_start entry_spring slot_row driven_slot driven_node pull_node pull_slot pull_start pull_other"
 INTS += " pull_spring substeps driver lead"
@@ -92,9 +94,10 @@ def engine_for(batch):
 
 
 def shapes(systems: int, ends: int, particles: int, chip: int, largest: int) -> list[Shape]:
-    """Shapes for ``systems`` of ``ends`` spring ends and ``particles`` on ``chip`` processors, the one that should be fastest first.
+    """Shapes that should step ``systems`` of ``ends`` spring ends and ``particles`` faster than the general kernels do, the fastest first.
 
-    More blocks a system mean fewer springs a block and fewer systems at once.
+    ``chip`` is the number of its processors, ``largest`` of blocks in a cluster. More blocks a system mean fewer springs a block and fewer
+    systems at once.
     """
     found = []
     for blocks in (1, 2, 4, 8, 16):
@@ -107,7 +110,8 @@ def shapes(systems: int, ends: int, particles: int, chip: int, largest: int) -> 
         share = ends / blocks / 32
         once = EXCHANGE[blocks] + PER_ENDS * share + STREAMED * max(0.0, share - ENOUGH)
         found.append((-(-systems // max(1, at_once)) * once, blocks, Shape(blocks, threads, lanes)))
-    return [shape for *_, shape in sorted(found, key=lambda f: f[:2])]
+    general = GENERAL + GENERAL_ENDS * systems * ends / 32
+    return [shape for cycles, _, shape in sorted(found, key=lambda f: f[:2]) if cycles < general]
 
 
 def joined(packings: list[Packing]) -> dict[str, np.ndarray]:
