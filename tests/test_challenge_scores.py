@@ -177,6 +177,8 @@ def test_true_sizes_in_the_twins_units():
     leaning = [0.0, GRAVITY * np.sin(tilt), GRAVITY * np.cos(tilt)]
     assert of("gravity_tilt", gravity_m_s2=leaning) == pytest.approx(2 * GRAVITY * np.sin(tilt / 2))  # a chord of the circle
     assert of("controller_delay", frames=3) == pytest.approx(0.1)
+    assert of("creep", time_s=0.5) == pytest.approx(2.0)
+    assert of("rest_shape", strain=-0.05) == pytest.approx(np.log(1 / 0.95))
     assert of("grip_points", shift_m=[0.03, 0.0, 0.04]) == pytest.approx(0.05)
     assert np.isnan(of("bending", factor=30.0)) and np.isnan(physical({"effect": "wind", "parameters": {}}, {}))
     assert amplitude("gravity_tilt", {f"tilt_{axis}": {"value": v} for axis, v in zip("xyz", (1.0, 2.0, 2.0), strict=True)}) == 3.0

@@ -150,6 +150,8 @@ def physical(part: Mapping, label: Mapping) -> float:
         "gravity_tilt": lambda: np.linalg.norm(np.subtract(given["gravity_m_s2"], [0.0, 0.0, GRAVITY])),  # z down [m/s^2]
         "strain_stiffening": lambda: given["factor"],  # stress E e (1 + b e^2)
         "viscoelastic": lambda: given["ratio"],  # E (1 + r exp(-t / tau))
+        "creep": lambda: 1 / given["time_s"],  # stress falls as exp(-t / tau), springs' as exp(-r t)
+        "rest_shape": lambda: abs(np.log1p(given["strain"])),
         "added_mass": lambda: given["factor"] - 1,
         "controller_delay": lambda: given["frames"] / FPS,
         "grip_points": lambda: np.linalg.norm(given["shift_m"]),
