@@ -78,8 +78,10 @@ def make_backward(kit):
             t = R(frame * substeps + begin + k) * dt
             if wp.static(colliding):
                 if k < count:
-                    for i in range(lo + lane, hi, width):
-                        back_contacts(w, a, k, i, frame, begin + k, substeps, dt, p_velocity, p_body, p_observer, p_contact)
+                    for base in range(lo, hi, width // lanes):
+                        i = base + lane // lanes
+                        part = lane % lanes
+                        back_contacts(w, a, k, i, hi, part, frame, begin + k, substeps, dt, p_velocity, p_body, p_observer, p_contact)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(hinged):
@@ -341,7 +343,8 @@ def _back_pull(kit):
 def _back_contacts(kit, back_push):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     pv, pb, po, pc = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["observer"], kit.vectors["contact"]
-    contact, get_x, give, give_contact = kit.laws.contact, kit.get_x, kit.give, kit.give_all["contact"]
+    contact, get_x, give, give_contact, lanes = kit.laws.contact, kit.get_x, kit.give, kit.give_all["contact"], kit.lanes
+    four, sum3, sum4, sum_contact = kit.four, kit.sum3, kit.sum4, kit.sum_contact
     _node, _end, inertia = node_functions(kit)
 
     @wp.func
@@ -354,6 +357,8 @@ def _back_contacts(kit, back_push):
         a: Adjoint,
         slot: int,
         i: int,
+        hi: int,
+        part: int,
         frame: int,
         step: int,
         substeps: int,
@@ -364,37 +369,50 @@ def _back_contacts(kit, back_push):
         p: pc,
     ):
         """v_i' = v_i + mean_j J_ij / m_i, and J_ji = -J_ij: particle i collects its part in its own and its partners' sums."""
-        x = get_x(w.state, slot * w.nodes + i)
-        v = w.free[slot, i]
-        m = inertia(w, i)
-        driven = w.driver[i] >= 0
-        mine = a.met[i]
-        weight = vec()
-        if not driven and w.hits[slot, i] > 0:
-            weight = mine / (R(w.hits[slot, i]) * m)
-            give(a.mass, i, -wp.dot(mine, w.met[slot, i] - v) / m)
         gx = vec()
         gv = vec()
-        for j in range(w.near_row[i], w.near_row[i + 1]):
-            o = w.near[j]
-            xo = get_x(w.state, slot * w.nodes + o)
-            vo = w.free[slot, o]
-            met = wp.length(xo - x) < p[0] and wp.dot(xo - x, vo - v) < R(-1.0e-4)
-            if met and not (driven and w.driver[o] >= 0):
-                g = weight
-                if w.driver[o] < 0:
-                    g = weight - a.met[o] / (R(w.hits[slot, o]) * w.mass[o])
-                hx, _hx, hv, _hv, hm, _hm, hp, _hg = wp.grad(contact_dot)(x, xo, v, vo, m, inertia(w, o), p, g)
-                gx += hx
-                gv += hv
-                if not driven:
-                    give(a.mass, i, hm)
-                if not driven and (o > i or w.driver[o] >= 0):
-                    give_contact(a.contact, i, hp)
-        if driven:
+        gm = R(0.0)
+        gp = pc()
+        if i < hi:
+            x = get_x(w.state, slot * w.nodes + i)
+            v = w.free[slot, i]
+            m = inertia(w, i)
+            driven = w.driver[i] >= 0
+            weight = vec()
+            if not driven and w.hits[slot, i] > 0:
+                weight = a.met[i] / (R(w.hits[slot, i]) * m)
+            for j in range(w.near_row[i] + part, w.near_row[i + 1], lanes):
+                o = w.near[j]
+                xo = get_x(w.state, slot * w.nodes + o)
+                vo = w.free[slot, o]
+                met = wp.length(xo - x) < p[0] and wp.dot(xo - x, vo - v) < R(-1.0e-4)
+                if met and not (driven and w.driver[o] >= 0):
+                    g = weight
+                    if w.driver[o] < 0:
+                        g = weight - a.met[o] / (R(w.hits[slot, o]) * w.mass[o])
+                    hx, _hx, hv, _hv, hm, _hm, hp, _hg = wp.grad(contact_dot)(x, xo, v, vo, m, inertia(w, o), p, g)
+                    gx += hx
+                    gv += hv
+                    if not driven:
+                        gm += hm
+                    if not driven and (o > i or w.driver[o] >= 0):
+                        gp += hp
+        both = sum4(four(gx[0], gx[1], gx[2], gm), lanes)
+        gv = sum3(gv, lanes)
+        gp = sum_contact(gp, lanes)
+        if i >= hi or part > 0:
+            return
+        gx = vec(both[0], both[1], both[2])
+        if w.driver[i] >= 0:
             a.x[i] = gx
             a.v[i] = gv
         else:
+            mine = a.met[i]
+            gm = both[3]
+            if w.hits[slot, i] > 0:
+                gm -= wp.dot(mine, w.met[slot, i] - w.free[slot, i]) / w.mass[i]
+            give(a.mass, i, gm)
+            give_contact(a.contact, i, gp)
             back_push(w, a, slot, i, frame, step, substeps, dt, a.x[i] + gx, mine + gv, p_velocity, p_body, p_observer)
 
     return back_contacts

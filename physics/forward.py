@@ -82,7 +82,7 @@ def make_forward(kit):
     load_axial, load_strand, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
     hinged = kit.hinged
     bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
-    get_x, get_v, put, sum3 = kit.get_x, kit.get_v, kit.put, kit.sum3
+    get_x, get_v, put, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.sum3, kit.sum4, kit.four
     node, end, inertia = node_functions(kit)
     sighted = sighting(kit)
     strand_of = recalling(kit)
@@ -115,20 +115,20 @@ def make_forward(kit):
         return d * tension
 
     @wp.func
-    def contacts(w: World, slot: int, i: int, x: vec, v: vec, p: pc):
-        """Velocity of particle ``i`` after its contacts, and how many it had."""
+    def contacts(w: World, slot: int, i: int, part: int, p: pc):
+        """Impulses that particle ``i`` gets in a lane's part of its contacts, and in the fourth place how many they are."""
         total = vec()
         count = int(0)
+        x = get_x(w.state, slot * w.nodes + i)
+        v = w.free[slot, i]
         m = w.mass[i]
-        for j in range(w.near_row[i], w.near_row[i + 1]):
+        for j in range(w.near_row[i] + part, w.near_row[i + 1], lanes):
             o = w.near[j]
             apart = get_x(w.state, slot * w.nodes + o) - x
             if wp.length(apart) < p[0] and wp.dot(apart, w.free[slot, o] - v) < R(-1.0e-4):
                 total += contact(x, get_x(w.state, slot * w.nodes + o), v, w.free[slot, o], m, inertia(w, o), p)
                 count += 1
-        if count > 0:
-            v = v + total / (R(count) * m)
-        return v, count
+        return four(total[0], total[1], total[2], R(count))
 
     @kit.kernel
     def forward(w: World, first: int, blocks: int, frame: int, begin: int, slots: int):
@@ -223,13 +223,22 @@ def make_forward(kit):
             round += 1
             barrier(w.counters, team, blocks, round)
             if wp.static(colliding):
-                for i in range(lo + lane, hi, width):
-                    if w.driver[i] < 0:
-                        x = get_x(w.state, here * w.nodes + i)
-                        v, n = contacts(w, here, i, x, w.free[here, i], p_contact)
+                for base in range(lo, hi, width // lanes):
+                    i = base + lane // lanes
+                    free = False
+                    if i < hi:
+                        free = w.driver[i] < 0
+                    met = four()
+                    if free:
+                        met = contacts(w, here, i, lane % lanes, p_contact)
+                    met = sum4(met, lanes)
+                    if free and lane % lanes == 0:
+                        v = w.free[here, i]
+                        if met[3] > R(0.0):
+                            v = v + vec(met[0], met[1], met[2]) / (met[3] * w.mass[i])
                         w.met[here, i] = v
-                        w.hits[here, i] = n
-                        x2, v2 = move(x, v, dt, p_move)
+                        w.hits[here, i] = int(met[3])
+                        x2, v2 = move(get_x(w.state, here * w.nodes + i), v, dt, p_move)
                         put(w.state, there * w.nodes + i, x2, v2)
                 round += 1
                 barrier(w.counters, team, blocks, round)

@@ -81,7 +81,7 @@ def _init():
 
 def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
-    vec = wp.types.vector(3, R)
+    vec, four = wp.types.vector(3, R), wp.types.vector(4, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
     pair = wp.types.vector(2, R)
     vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
@@ -90,6 +90,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     return SimpleNamespace(
         R=R,
         vec=vec,
+        four=four,
         vectors=vectors,
         World=World,
         Adjoint=Adjoint,
@@ -104,6 +105,8 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         get_v=get_v,
         put=put,
         sum3=lane_sum(vec, 3),
+        sum4=lane_sum(four, 4),
+        sum_contact=lane_sum(vectors["contact"], laws.width("contact")),
         sum_axial=lane_sum(vectors["axial"], laws.width("axial")),
         sum_strand=lane_sum(vectors["strand"], laws.width("strand")),
         give=adder(R, 0),

@@ -90,6 +90,16 @@ def test_cuda_agrees_with_cpu(cuda, collide, remember, team):
         assert (grad - grads_there[name]).abs().max() <= 1e-8 * grad.abs().max().clamp(min=1e-12), name
 
 
+@pytest.mark.parametrize("team", [(1, 128, 4), (6, 64, 8), (1, 256, 32)])
+def test_teams_agree_on_contacts(cuda, team):
+    # lanes share a particle's contacts; the same sums in another order: float64 rounding, grown over 120 substeps
+    alone, grads_alone = march(systems(3, True), "cuda", double=True, team=(1, 256, 1))
+    shared, grads_shared = march(systems(3, True), "cuda", double=True, team=team)
+    assert (alone - shared).abs().max() < 1e-11
+    for name, grad in grads_alone.items():
+        assert (grad - grads_shared[name]).abs().max() <= 1e-8 * grad.abs().max().clamp(min=1e-12), name
+
+
 @pytest.mark.parametrize("remember", [False, True])
 @pytest.mark.parametrize("collide", [False, True])
 def test_cuda_repeats_to_the_last_bit(cuda, collide, remember):
