@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import numpy as np
 
-__all__ = ["Banded"]
+__all__ = ["Banded", "one_thread"]
+
+
+def one_thread():
+    """A context in which linear algebra takes one thread: for bands as narrow as these, more wait for each other, on a busy machine long.
+
+    Without the package threadpoolctl it does nothing.
+    """
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        return nullcontext()
+    import scipy.linalg  # noqa: F401, so that its library is there to be limited
+
+    return threadpool_limits(1)
 
 
 class Banded:

@@ -12,7 +12,7 @@ from ...synthetic.simulate import GRAVITY
 from ..bodies import Body
 from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable
 from ..motions import Script
-from .banded import Banded
+from .banded import Banded, one_thread
 from .contact import Contacts, gaps
 from .continuum import Continuum
 from .layers import Layers
@@ -253,11 +253,16 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
 
     Raises Unstable where the solution blows up or what is asked for cannot be solved.
     """
-    world = World(body, script, physics or Physics(), max(substeps // COARSER, 1))
-    steps = (script.frames - 1) * (per := max(substeps // COARSER, 1))
+    with one_thread():
+        return _simulate(body, script, physics or Physics(), max(substeps // COARSER, 1), settle)
+
+
+def _simulate(body, script, physics, per, settle):
+    world = World(body, script, physics, per)
+    steps = (script.frames - 1) * per
     settle = round(settle / world.dt)
     paths = [hand.path((np.arange(-settle, steps + 2)) * world.dt) for hand in script.hands]
-    laws = [law(world) for law in (physics or Physics()).laws]
+    laws = [law(world) for law in physics.laws]
     firsts = np.cumsum([0, *map(len, world.gripped)])
     frames = []
     for step in range(settle + steps + 1):
