@@ -354,8 +354,8 @@ class Concealed:
     The recordings are written by python -m twinbench.datasets.concealed. Answers that are there are kept.
     """
 
-    data: Annotated[Positional[Path], arg(metavar="DIR")]
-    """Folder of case_*/fit and case_*/transfer, with labels.json."""
+    data: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR")]
+    """Folders of case_*/fit and case_*/transfer, each with labels.json."""
     preset: str = "quick"
     """quick or full."""
     device: str = "cpu"

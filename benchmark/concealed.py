@@ -12,16 +12,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnosis.verdict import CONTEXT, FEATURES, NONE, OTHER, Calibration, Reading, decide, scores, verdict_of
+from ..diagnosis.verdict import CONTEXT, FEATURES, NONE, OTHER, SEEN, Calibration, Reading, decide, scores, shown, verdict_of
 from .challenge.answering import each
 from .challenge.truths import Row
 
 __all__ = ["answer", "answers", "by_effect", "calibrate", "crossed", "decided", "markdown", "score", "study", "thresholds"]
 
 LABELS = "labels.json"
-RIDGE = 0.002  # of the shared weights; effects' own biases are few cases each and get more
-RIDGE_BIAS = 0.1
+RIDGE = 0.01  # of the shared weights; effects' own biases are few cases each and get more
+RIDGE_BIAS = 0.02
+SURE = 30.0  # log odds, at most, for each unit of what the tracks say by themselves: it parts all cases there are, and some day it will not
 FOLDS = 8
+TELLS = 0.15  # log of the share of error left by a reading from which on it explains something
 
 
 def answer(case: Path, out: Path, preset: str, device: str) -> dict:
@@ -125,13 +127,14 @@ def closed(result) -> float | None:
 def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str = "") -> Calibration:
     """Weights that make the labels likely: one multinomial choice a case among its readings, "adequate" and "unknown"; ridge priors.
 
-    An effect whose term was never refitted counts as "unknown".
+    Where the right reading explains next to nothing (``TELLS``, or it was never refitted), "unknown" is right too: what is asked of the
+    weights is to name what shows and to accuse no other.
     """
     from scipy.optimize import minimize
 
     rows = [(*_evidence(r), truth(labels[k])) for k, r in sorted(results.items()) if k in labels and "evidence" in r]
     terms = sorted({r.key for found, _, _ in rows for r in found})
-    features = (*FEATURES, "seen")
+    features = (*FEATURES, *SEEN)
     around = list(CONTEXT)
     start = np.zeros(len(features) + len(terms) + 2 * (len(around) + 1))
 
@@ -152,7 +155,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     names = [scores(found, context, unpack(start))[0] for found, context, _ in rows]
     slopes = np.stack([_scores(rows, unpack(unit)) - offset for unit in np.eye(len(start))], 1)
     first = np.cumsum([0, *map(len, names)])[:-1]
-    right = np.concatenate([_right(of, true) for of, (_, _, true) in zip(names, rows, strict=True)])
+    right = np.concatenate([_right(found, of, true) for of, (found, _, true) in zip(names, rows, strict=True)])
     ridge = np.full(len(start), RIDGE)
     ridge[len(FEATURES) : len(features)] = 0.0  # what the tracks say by themselves is not shrunk
     ridge[len(features) : len(features) + len(terms)] = RIDGE_BIAS
@@ -167,8 +170,8 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
         return float((all_of - right_of).mean() + ridge @ v**2), gradient
 
     # A gain never speaks against its effect, an amplitude more never for it.
-    gains = {name: (0, None) for name in features if name.split("_")[-1] in ("train", "heldout", "transfer", "seen")}
-    bounds = [{**gains, "extra": (None, 0)}.get(name, (None, None)) for name in features]
+    gains = {name: (0, None) for name in FEATURES if name.split("_")[-1] in ("train", "heldout", "transfer")}
+    bounds = [{**gains, **dict.fromkeys(SEEN, (0, SURE)), "extra": (None, 0)}.get(name, (None, None)) for name in features]
     bounds += [(None, None)] * (len(start) - len(features))
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
@@ -179,10 +182,12 @@ def _scores(rows, c: Calibration) -> np.ndarray:
     return np.concatenate([scores(found, context, c)[1] for found, context, _ in rows])
 
 
-def _right(names, true) -> np.ndarray:
-    """Which of a case's readings are true; "unknown", the last, where none is."""
+def _right(found, names, true) -> np.ndarray:
+    """Which of a case's readings are true; "unknown", the last, where none is or none that is shows."""
     right = np.array([n == true for n in names])
-    return right if right.any() else np.arange(len(names)) == len(names) - 1
+    if true != NONE and max((shown(r) for r in found if r.effect == true), default=0.0) < TELLS:
+        right[-1] = True
+    return right
 
 
 def _softmax(values, first):
@@ -258,7 +263,7 @@ def thresholds(
     runs = [crossed(results, labels, seed=s) for s in seeds]
     for named in (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7):
         for both in (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
-            for sure in (0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4):
+            for sure in (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4):
                 if both < named:
                     continue
                 worth = 0.0
@@ -279,15 +284,24 @@ def thresholds(
     return chosen
 
 
-def study(data: Path, out: Path, *, preset: str, device: str, jobs: int, calibrating: bool) -> tuple[dict, dict]:
-    """Answers and labels of a folder of cases; scores.json, cases.md and, ``calibrating``, calibration.json are written into ``out``."""
-    file = data / LABELS
-    if not file.is_file():
-        raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
-    labels = json.loads(file.read_text())
-    results = answers(data, out, preset=preset, device=device, jobs=jobs)
+def study(folders: Sequence[Path], out: Path, *, preset: str, device: str, jobs: int, calibrating: bool) -> tuple[dict, dict]:
+    """Answers and labels of folders of cases; scores.json, cases.md and, ``calibrating``, calibration.json are written into ``out``.
+
+    Where there are several folders, cases bear their names too. Raises ValueError where two are called alike, or one has no labels.
+    """
+    if not folders:
+        raise ValueError("no folder of cases is named")
+    if len({data.name for data in folders}) < len(folders):
+        raise ValueError(f"folders of cases must have different names, got {', '.join(map(str, folders))}")
+    results, labels = {}, {}
+    for data in folders:
+        file, own = data / LABELS, f"{data.name}/" if len(folders) > 1 else ""
+        if not file.is_file():
+            raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
+        labels |= {own + name: label for name, label in json.loads(file.read_text()).items()}
+        results |= {own + name: found for name, found in answers(data, out / own, preset=preset, device=device, jobs=jobs).items()}
     if calibrating:
-        fitted = calibrate(results, labels, source=f"{len(results)} cases of {data.name}")
+        fitted = calibrate(results, labels, source=f"{len(results)} cases of {' and '.join(data.name for data in folders)}")
         named, both, sure = thresholds(results, labels)
         fitted = replace(fitted, named=named, both=both, sure=sure)
         (out / "calibration.json").write_text(fitted.to_json() + "\n")

@@ -23,12 +23,13 @@ MATERIAL = (
 # Where a twin of the same body was adequate on other recordings (priors, not fitted): log odds of an effect of its material, which a
 # recording cannot add to it; and how many times more a gain tells, as the twin's own inadequacy is known to be small.
 SETTLED, SHARPER = -20.0, 3.0
-SLID = 0.5  # log of the growth of neighbour distances that deformation alone brings
+SLID = 1.0  # log of the growth of neighbour distances that deformation alone brings, creases too
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 NONE, OTHER = "adequate", "unknown"
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
+SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen")  # without a simulation
 CONTEXT = ("learned", "best", "floor", "unforeseen", "chain", "sheet")
 
 
@@ -129,6 +130,11 @@ def _worth(features: Mapping[str, float]) -> float:
     return 0.4 * features["train"] + 0.3 * features["heldout"] + 0.3 * features["transfer"]
 
 
+def shown(reading: Reading) -> float:
+    """How much a reading has to show for itself: its ``_worth``, or what is seen without a simulation."""
+    return max(_worth(reading.features), *(reading.features.get(name, 0.0) for name in SEEN))
+
+
 def _tracks(inquiry: Inquiry) -> list[Reading]:
     """Faults that show in tracks and hands without any simulation."""
     recordings = [s.replica for s in inquiry.simulators[: 1 + inquiry.transfers]]
@@ -138,7 +144,7 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
         "controller_delay": max((held.told - TOLD for held in hands if abs(held.lag) >= LATE), default=0.0),
         "grip_slip": max((held.slip - SLIPPED for held in hands), default=0.0),
     }
-    return [Reading(effect, "", dict.fromkeys(FEATURES, 0.0) | {"seen": max(0.0, float(size))}) for effect, size in shown.items()]
+    return [Reading(effect, "", dict.fromkeys(FEATURES, 0.0) | {f"{effect}_seen": max(0.0, float(size))}) for effect, size in shown.items()]
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
@@ -160,10 +166,12 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
 def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration) -> tuple[list[str], np.ndarray]:
     """Names and scores (log odds) of the readings, then of "adequate" and "unknown"."""
     names, values = [], []
+    # a term that the calibration never met is as doubtful as the most doubtful of those it did
+    doubt = min((0.0, *(b for key, b in c.biases.items() if key not in (NONE, OTHER))))
     for reading in found:
         names.append(reading.effect)
         told = sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
-        value = c.biases.get(reading.key, 0.0) + told * (SHARPER if "settled" in reading.features else 1.0)
+        value = c.biases.get(reading.key, doubt) + told * (SHARPER if "settled" in reading.features else 1.0)
         value += SETTLED * reading.features.get("settled", 0.0)
         values.append(value)
     for name in (NONE, OTHER):

@@ -1,11 +1,12 @@
 """How answers are scored against the labels of what was concealed, counted by hand; and the calibration, against closed forms."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from twinbench.benchmark.cli import main
-from twinbench.benchmark.concealed import answers, by_effect, calibrate, closed, crossed, decided, markdown, score, truth
+from twinbench.benchmark.concealed import answers, by_effect, calibrate, closed, crossed, decided, markdown, score, study, truth
 from twinbench.diagnosis.verdict import FEATURES, NONE, OTHER, Calibration, decide
 
 
@@ -235,3 +236,24 @@ def test_what_is_no_folder_of_cases_is_refused(tmp_path, capsys):
     assert "no labels.json here; write cases with python -m twinbench.datasets.concealed" in capsys.readouterr().err
     assert main(["concealed", str(tmp_path), "--preset", "fast"]) == 2
     assert "unknown preset 'fast'" in capsys.readouterr().err
+
+
+def test_a_truth_that_does_not_show_may_be_called_unknown():
+    # nine winds that explain nothing beside nine that explain half: no weight makes the former likely, and none is asked to
+    quiet = made_up(18, "control", gains={"wind": 0.0, "bending": 0.0})
+    loud = made_up(9, "effect", gains={"wind": 2.0, "bending": 0.0}, effect="wind", seed=1)
+    mute = {f"mute{k}": v for k, v in enumerate(made_up(9, "effect", gains={"wind": -0.3, "bending": 0.0}, effect="wind", seed=2).values())}
+    c = calibrate(*split(quiet | loud | mute))
+    told = {k: decided(r, c)["probabilities"] for k, (r, _) in (loud | mute).items()}
+    assert min(told[k]["wind"] for k in loud) > 0.6
+    assert max(told[k]["wind"] for k in mute) < 0.2 < min(told[k][OTHER] for k in mute)
+
+
+def test_folders_of_cases_are_told_apart_by_name(tmp_path):
+    given = dict(preset="quick", device="cpu", jobs=1, calibrating=False)
+    with pytest.raises(ValueError, match=r"different names, got a/x, b/x"):
+        study([Path("a/x"), Path("b/x")], tmp_path, **given)
+    with pytest.raises(ValueError, match="no folder of cases is named"):
+        study([], tmp_path, **given)
+    with pytest.raises(ValueError, match=r"here: no labels\.json here"):
+        study([tmp_path / "here"], tmp_path, **given)
