@@ -137,7 +137,7 @@ class Batch:
         if absent.any():
             kept = ~absent[np.stack([here, other])].any(0)
             here, other, spring = here[kept], other[kept], spring[kept]
-        order = np.lexsort((other, here))  # own ends last; near ones together
+        order = _sorted_ends(here, other, count)  # own ends last; near ones together
         row = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=count))])
         own = row[1:] - np.bincount(here[other > here], minlength=count)
         self.node_count, self.frame_count = count, frames
@@ -318,6 +318,13 @@ class Batch:
         cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
         with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
             list(pool.map(go, cuts[:-1], cuts[1:]))
+
+
+def _sorted_ends(here, other, count):
+    """The order by ``here``, then ``other``, of ends among ``count`` nodes. Numbers of two bytes are sorted by digits, which is fast."""
+    small = np.uint16 if count <= 1 << 16 else np.int64
+    order = np.argsort(other.astype(small), kind="stable")
+    return order[np.argsort(here[order].astype(small), kind="stable")]
 
 
 def _displacement_nearby(system, points):

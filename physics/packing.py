@@ -162,12 +162,15 @@ def _packed(system, linked, shape, device):
     # slots: a block's rows, then what their springs lead to, in the order of nodes
     first_row = np.concatenate([[0], np.cumsum(rows)])
     holder = block_of[here]
-    wanted = [holder * total + other, block_of * total + np.arange(total), np.flatnonzero(driven)]
+    wanted = np.zeros(shape.blocks * total, bool)
+    for keys in (holder * total + other, block_of * total + np.arange(total), np.flatnonzero(driven)):
+        wanted[keys] = True
     # who sends to a block also receives from it, be it only its first row: so neither gets far ahead
     asks = np.zeros((shape.blocks, shape.blocks), bool)
     asks[holder[~driven[other]], block_of[other[~driven[other]]]] = True
     only, from_ = np.nonzero(asks.T & ~asks & (rows > 0))
-    wanted = np.unique(np.concatenate([*wanted, only * total + row_node[np.minimum(first_row[from_], len(row_node) - 1)]]))
+    wanted[only * total + row_node[np.minimum(first_row[from_], len(row_node) - 1)]] = True
+    wanted = np.flatnonzero(wanted)
     wanted_block, wanted_node = wanted // total, wanted % total
     own = ~driven[wanted_node] & (block_of[wanted_node] == wanted_block)
     place = np.where(own, row_of[wanted_node] - first_row[wanted_block], 0)
@@ -182,8 +185,11 @@ def _packed(system, linked, shape, device):
     slot_row = np.full(int(slots.sum()), -1)
     slot_row[first_slot[wanted_block] + place] = row_of[wanted_node]
 
+    place_of = np.full(shape.blocks * total, -1)
+    place_of[wanted] = place
+
     def slot_in(block, node):
-        return place[np.searchsorted(wanted, block * total + node)]
+        return place_of[block * total + node]
 
     # what goes where
     guest = np.flatnonzero(~own & ~driven[wanted_node])
@@ -197,13 +203,14 @@ def _packed(system, linked, shape, device):
     pull_node = np.flatnonzero(driven)
     pull_node = pull_node[np.argsort(block_of[pull_node], kind="stable")]
     pull_count = np.bincount(block_of[pull_node], minlength=shape.blocks)
-    by_row = np.lexsort((other, here))
-    start = np.concatenate([[0], np.cumsum(degree)])
-    pulled = np.concatenate([by_row[start[n] : start[n + 1]] for n in pull_node] or [np.zeros(0, int)])
+    rank = np.full(total, -1)
+    rank[pull_node] = np.arange(len(pull_node))
+    pulled = np.flatnonzero(driven[here])
+    pulled = pulled[np.lexsort((other[pulled], rank[here[pulled]]))]
     pull_start = np.concatenate([[0], np.cumsum(degree[pull_node])])
     # entries
-    mine = ~driven[here]
-    mine_order = np.flatnonzero(mine)[np.lexsort((slot_in(holder[mine], other[mine]), row_of[here[mine]]))]
+    mine = np.flatnonzero(~driven[here])
+    mine_order = mine[np.argsort(row_of[here[mine]].astype(np.uint16 if total < 1 << 16 else int), kind="stable")]  # few digits sort fast
     pool_slot = slot_in(holder[mine_order], other[mine_order]) | np.where(owner[mine_order], OWNER, 0)
     pool_start = np.concatenate([[0], np.cumsum(degree[row_node])])
     slices = -(-rows // width)
