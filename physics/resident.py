@@ -12,6 +12,7 @@ import ctypes
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
+from weakref import ref
 
 import numpy as np
 import torch
@@ -147,7 +148,7 @@ class Engine:
     """
 
     def __init__(self, batch, shape: Shape):
-        self.batch, self.shape = batch, shape
+        self._batch, self.shape = ref(batch), shape  # the batch has the engine; in a circle both would wait for the garbage collector
         linked = bool(batch.laws.stage("links"))
         known = {id(system): pack(system, linked, shape, batch._device) for system in {id(s): s for s in batch.systems}.values()}
         packings = [known[id(system)] for system in batch.systems]
@@ -161,6 +162,10 @@ class Engine:
         room = torch.cuda.get_device_properties(batch.device).shared_memory_per_block_optin
         self.fits, self.fits_back = (self._shared(forward) <= room for forward in (True, False))
         self.constant = self._constant()
+
+    @property
+    def batch(self):
+        return self._batch()
 
     def _shared(self, forward):
         """Bytes a block; see resident.cu."""
@@ -283,7 +288,7 @@ class _March(torch.autograd.Function):
             rest = dict(frame=frame + stretch.frame, begin=stretch.begin, count=count, record=keep)
             x, v, ctx.past = engine.forward(values, x, v, out[stretch.frame :], **rest)
         ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
-        ctx.engine, ctx.frame = engine, frame
+        ctx.engine, ctx.batch, ctx.frame = engine, engine.batch, frame
         return out, x, v
 
     @staticmethod
