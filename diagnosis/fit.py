@@ -15,7 +15,7 @@ import numpy as np
 from .model import Knob, Model, Simulator
 from .replica import Replica
 
-__all__ = ["Fit", "Frames", "Task", "fit", "gaps", "jacobian", "mean_error", "remoteness", "turned", "weights_of"]
+__all__ = ["Fit", "Frames", "Task", "counted", "fit", "gaps", "jacobian", "mean_error", "remoteness", "turned", "weights_of"]
 
 INDEPENDENT = 100.0  # data that a recording is worth: tracks move together, so far fewer than its coordinates
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # Levenberg-Marquardt dampings tried side by side
@@ -121,10 +121,16 @@ class Task:
 
 def weights_of(simulator: Simulator, frames: int) -> np.ndarray:
     """(F, n) weights whose squares sum to 1 over a recording: nodes count alike wherever they were seen."""
-    seen = np.isfinite(simulator.replica.sightings.position[:frames, :, 0])
-    seen[:, simulator.replica.driven] = False
-    seen[0] = False
+    seen = counted(simulator.replica, 0, frames)
     return seen / np.sqrt(max(1, seen.sum()))
+
+
+def counted(replica: Replica, first: int, last: int) -> np.ndarray:
+    """(last - first, n) which sightings judge a twin: none of what hands drive, nor of the recording's first frame, where it starts."""
+    seen = np.isfinite(replica.sightings.position[first:last, :, 0])
+    seen[:, replica.driven] = False
+    seen[: max(0, 1 - first)] = False
+    return seen
 
 
 def floor_of(replica: Replica, finest: float = FINEST) -> float:

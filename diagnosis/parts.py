@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .fit import Frames, Task, floor_of
+from .fit import Frames, Task, counted, floor_of
 from .model import Model
 from .replica import Replica
 
@@ -43,10 +43,7 @@ def innovations(
             runs[part.index] = simulator.run(model.terms, mine, last, substeps=substeps[part.index])
         simulator, found = task.simulators[part.index], runs[part.index]
         seen = simulator.replica.sightings.position[part.first : part.last]
-        there = np.isfinite(seen[..., 0])
-        there[:, simulator.replica.driven] = False
-        if part.first == 0:
-            there[0] = False
+        there = counted(simulator.replica, part.first, part.last)
         gap = np.where(there[None, ..., None], seen[None] - found[:, part.first : part.last], 0.0)
         out.append((gap / np.sqrt(max(1, there.sum()))).reshape(len(rows), -1))
         frames.append(Frames.of_seen([there], [floor_of(simulator.replica, task.finest)]))

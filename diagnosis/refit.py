@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .fit import Fit, Frames, Task, fit, floor_of
+from .fit import Fit, Frames, Task, counted, fit, floor_of
 from .foresight import foreseen
 from .model import Model
 from .parts import Part, nobody
@@ -98,12 +98,10 @@ def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
             runs[part.index] = simulator.run(found.model.terms, rows, last)
         watched, alone = runs[part.index]
         replica = simulator.replica
-        judged = np.ones(len(replica.nodes), bool)
-        judged[replica.driven] = False
-        judged[leave(replica)] = False
-        seen = replica.sightings.position[part.first : part.last, judged]
-        there = np.isfinite(seen[..., 0])
-        gaps = [np.where(there[..., None], seen - x[part.first : part.last, judged], 0.0) for x in (watched, alone)]
+        there = counted(replica, part.first, part.last)
+        there[:, leave(replica)] = False
+        seen = replica.sightings.position[part.first : part.last]
+        gaps = [np.where(there[..., None], seen - x[part.first : part.last], 0.0) for x in (watched, alone)]
         if not there.any():
             observed[part.name] = free[part.name] = float("nan")
             continue
