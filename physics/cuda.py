@@ -12,7 +12,7 @@ import os
 from functools import cache
 from pathlib import Path
 
-__all__ = ["Program", "available", "compiled"]
+__all__ = ["Program", "available", "compiled", "known_architectures"]
 
 SHARED_BYTES, CARVEOUT, NON_PORTABLE = 8, 9, 14  # function attributes, numbered as in cuda.h
 CLUSTER = 4  # launch attribute
@@ -58,9 +58,18 @@ def _driver():
         return None
 
 
-def available() -> bool:
-    """Whether programs can be compiled and launched here."""
-    return _compiler() is not None and _driver() is not None
+def available(capability: tuple[int, int]) -> bool:
+    """Whether programs for devices of this compute capability can be compiled and launched here."""
+    return _driver() is not None and _compiler() is not None and 10 * capability[0] + capability[1] in known_architectures(_compiler())
+
+
+def known_architectures(nvrtc) -> list[int]:
+    """Those that the compiler can make machine code for: 90 is compute capability 9.0."""
+    count = ctypes.c_int()
+    nvrtc.nvrtcGetNumSupportedArchs(ctypes.byref(count))
+    found = (ctypes.c_int * count.value)()
+    nvrtc.nvrtcGetSupportedArchs(found)
+    return list(found)
 
 
 def compiled(source: str, options: tuple[str, ...], architecture: str, nvrtc=None) -> bytes:

@@ -25,6 +25,7 @@ __all__ = ["Engine", "engine_for", "serves", "shapes"]
 
 AXIAL, NODAL = {"springs", "dashpot"}, {"gravity", "linear_drag", "ground", "controller_springs"}
 RECORD, FORCE, KINDS = 6, 3, 12  # numbers in a node's record and in a force's adjoint, and sums of the table's gradient a block
+OLDEST, CLUSTERED = (8, 0), (9, 0)  # compute capability: copies that nobody waits for, clusters
 HEAD = 256  # bytes of shared memory in front of the records
 # by threads of a block: what registers hold of a thread's springs, of its warp's first and second slice forward, of the first back
 KEPT = {256: ((36, 24), 24), 384: ((36, 0), 16), 512: ((24, 0), 8), 1024: ((4, 0), 4)}
@@ -76,11 +77,13 @@ def serves(batch) -> bool:
 
 def engine_for(batch):
     """The engine for a batch, or None where the general kernels step it."""
-    if batch.device.type != "cuda" or not serves(batch) or not cuda.available():
+    if batch.device.type != "cuda" or not serves(batch):
         return None
     with torch.cuda.device(batch.device):
-        chip = torch.cuda.get_device_properties()
-        largest = 16 if torch.cuda.get_device_capability() >= (9, 0) else 1
+        chip, capability = torch.cuda.get_device_properties(), torch.cuda.get_device_capability()
+        if capability < OLDEST or not cuda.available(capability):
+            return None
+        largest = 16 if capability >= CLUSTERED else 1
         ends = [2 * len(s.springs) for s in batch.systems]
         free = [s.particle_count for s in batch.systems]
         for shape in shapes(len(batch.systems), max(ends), max(free), chip.multi_processor_count, largest):
