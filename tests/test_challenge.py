@@ -449,6 +449,9 @@ WRONG = [
     ({"verdict": "missing", "effect": "levitation"}, "a name must be one of quadratic_drag"),
     ({"verdict": "unknown", "effect": "wind"}, "effect must be null where the verdict names nothing"),
     ({"verdict": "unknown", "probabilities": {"wind": 0.7}}, "probabilities must sum to 1, got 0.7"),
+    ({"verdict": "missing", "effect": "wind", "where": {"centroid": [0, 0, 0]}}, "where must be null or have centroid, points, radius"),
+    ({"verdict": "missing", "effect": "wind", "when": [0, 9]}, "when must be null or have frames"),
+    ({"verdict": "missing", "effect": "wind", "parameters": {"wind_x": 3}}, "every one of the parameters must have a value"),
     ([], "must be an object"),
 ]
 

@@ -219,6 +219,17 @@ def test_tables_have_every_case_once():
     )
 
 
+def test_what_an_answer_leaves_out_is_not_counted():
+    """Who is told, and other programs, give no intervals, clusters or errors."""
+    bare = {"verdict": "missing", "effect": "added_mass", "alternatives": [], "probabilities": {"added_mass": 1.0}}
+    rows = [Row("x", HEAVY, bare | {"parameters": {"added_mass": {"value": 2.0}}}), Row("y", label("control"), {"verdict": "adequate"})]
+    found = {f.name: f for f in figures(rows)}
+    assert found["amplitude, error"].value == 0 and found["amplitude, 90 % intervals that cover"].cases == 0
+    assert found["place F1"].value == 0  # there is a place, and it was not said
+    assert found["first cluster holds the place"].cases == found["share of the oracle's gain, transfer"].cases == 0
+    assert grids(rows)
+
+
 def test_a_missing_answer_is_a_refusal():
     from twinbench.benchmark.challenge.rivals.base import FAILED
 

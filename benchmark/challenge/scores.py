@@ -262,9 +262,9 @@ def _covered(row):
     part = row.concealed
     if not part or row.true_amplitude(part)[1] != "physics":
         return None
-    inner = [p["interval90"] for n, p in (row.answer.get("parameters") or {}).items() if n in _amplitude_names(part["effect"])]
+    inner = [p.get("interval90") for n, p in (row.answer.get("parameters") or {}).items() if n in _amplitude_names(part["effect"])]
     true = row.true_amplitude(part)[0]
-    if len(inner) != 1:
+    if len(inner) != 1 or not inner[0]:
         return None
     low, high = inner[0]
     return float(low <= true <= high or low <= -true <= high)  # late hands count as negative

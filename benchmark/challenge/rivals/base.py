@@ -107,6 +107,11 @@ def sensible(said, file) -> dict:
         raise ValueError(f"{file}: effect must be null where the verdict names nothing, got {effect!r}")
     if chances is not None and not abs(sum(chances.values()) - 1) < 0.01:
         raise ValueError(f"{file}: probabilities must sum to 1, got {sum(chances.values()):g}")
+    for key, needed in (("where", {"points", "centroid", "radius"}), ("when", {"frames"})):
+        if said.get(key) is not None and not (isinstance(said[key], dict) and needed <= set(said[key])):
+            raise ValueError(f"{file}: {key} must be null or have {', '.join(sorted(needed))}, got {said[key]!r}")
+    if not all(isinstance(p, dict) and "value" in p for p in (said.get("parameters") or {}).values()):
+        raise ValueError(f"{file}: every one of the parameters must have a value")
     return answer(verdict, effect, probabilities=chances) | {k: v for k, v in said.items() if v is not None}
 
 
