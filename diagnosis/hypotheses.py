@@ -137,7 +137,8 @@ def _places(term, simulator, predicted, push, shape):
         return [_named(effect.place, centre) for centre in _obstacle_centres(replica, push, shape["obstacle_radius"])]
     even = spread_out(replica.nodes, SPREAD, nodes[:1])[1:] if len(nodes) else spread_out(replica.nodes, SPREAD)
     places = []
-    for node in [*nodes, *even]:
+    ends = [chain[k] for chain in replica.system.chains for k in (0, -1)]  # of a rope: where one holds or loads it
+    for node in dict.fromkeys([*nodes, *even, *ends]):
         values = _named(effect.place, replica.nodes[node])
         if f"{effect.place}_anchor_x" in named:  # tied where its pull points to, or where it lay
             anchor = _anchor(replica, predicted, push, node, shape[effect.within])

@@ -11,7 +11,7 @@ import numpy as np
 from ..datasets.scenario import Observed
 from ..physics.terms.residual_field import ResidualField
 from .baseline import baseline_model, first_fit
-from .fit import FINEST, Fit, Task
+from .fit import FINEST, LOST, Fit, Task
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
 from .model import Knob, Model, Simulator
@@ -218,8 +218,8 @@ def _size(unit):
 
 
 def _shown(found: Fit, recordings: int) -> float:
-    """The error [m] that a twin has where nothing is missing: what may be asked of it elsewhere, if that is finer than of any twin."""
-    return float(np.clip(np.sqrt(found.history[-1] / recordings), LEAST, FINEST))
+    """The error [m] that a twin has where nothing is missing: what may be asked of it elsewhere, be that finer or coarser than of any twin."""
+    return float(np.clip(np.sqrt(found.history[-1] / recordings), LEAST, LOST))
 
 
 def _firm(found: Fit) -> Fit:

@@ -1,5 +1,7 @@
 """Where hypotheses look: places, anchors, and how far in doubt a number is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from twinbench.diagnosis.hypotheses import ANY, KNOWN, hypotheses_for
@@ -53,3 +55,11 @@ def test_an_obstacle_is_looked_for_behind_the_hardest_push(hanging):
         first = next(h for h in found if h.values["obstacle_radius"] == radius)
         expected = replica.sightings.position[frame, node] - radius * way
         assert np.linalg.norm(first.place - expected) < replica.spacing  # a neighbour may have all of them about it as well
+
+
+def test_the_ends_of_a_rope_are_places(hanging):
+    replica = hanging.replica
+    chain = np.argsort(replica.nodes[:, 2])[[3, 9, 0, 14, 6]]
+    roped = replace(hanging, replica=replace(replica, system=replace(replica.system, chains=[chain])))
+    places = {tuple(np.round(h.place, 6)) for h in tried(roped, HiddenTether)}
+    assert {tuple(np.round(replica.nodes[k], 6)) for k in chain[[0, -1]]} <= places
