@@ -23,7 +23,7 @@ PEAKS, SPREAD = 4, 4  # places tried: where the observer pushes most, and evenly
 LIMP = 0.1  # share of a body's extent that stands out by itself where bending is noticeable
 PART = 0.25  # of a body's extent: what reaches farther is no part of it
 ANY = 10.0  # noticeable sizes: an effect may be as large
-KNOWN = 0.02  # of that, where only a small error can be
+DOUBTS = {"gravity_tilt": 0.02, "wind": 0.1}  # of that, along gravity: what would do no more than change the weight
 FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
 STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
 
@@ -109,11 +109,12 @@ def _rigidity(replica, term) -> float:
 
 
 def _doubtful(term, amplitude, recording):
-    """How far in doubt an amplitude is: gravity may point elsewhere than is said, its size is known."""
-    if term.name != "gravity_tilt" or not np.any(recording.gravity):
+    """How far in doubt an amplitude is: gravity may point elsewhere than is said, its size is known; winds blow level, or nearly so."""
+    least = DOUBTS.get(term.name)
+    if least is None or not np.any(recording.gravity):
         return 1.0
     along = abs(recording.gravity["xyz".index(amplitude[-1])]) / np.linalg.norm(recording.gravity)
-    return max(KNOWN, 1 - along)
+    return max(least, 1 - along)
 
 
 def _applies(term, simulator):

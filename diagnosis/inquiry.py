@@ -218,7 +218,7 @@ def _size(unit):
 
 
 def _shown(found: Fit, recordings: int) -> float:
-    """The error [m] that a twin has where nothing is missing: what may be asked of it elsewhere, be that finer or coarser than of any twin."""
+    """The error [m] that a twin has where nothing is missing: what may be asked of it elsewhere, finer or coarser than of any twin."""
     return float(np.clip(np.sqrt(found.history[-1] / recordings), LEAST, LOST))
 
 

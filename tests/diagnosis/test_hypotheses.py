@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twinbench.diagnosis.hypotheses import ANY, KNOWN, hypotheses_for
+from twinbench.diagnosis.hypotheses import ANY, DOUBTS, hypotheses_for
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 from twinbench.physics.terms.hidden_obstacle import HiddenObstacle
 from twinbench.physics.terms.hidden_tether import HiddenTether
+from twinbench.physics.terms.wind import Wind
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,13 @@ def tried(simulator, term, *, push=None):
 
 def test_gravity_may_point_elsewhere_but_keeps_its_size(hanging):
     (one,) = tried(hanging, GravityTilt)  # gravity is along z here
-    assert [k.prior for k in one.knobs] == [ANY, ANY, KNOWN * ANY]
+    assert [k.prior for k in one.knobs] == [ANY, ANY, DOUBTS["gravity_tilt"] * ANY]
+
+
+def test_a_wind_blows_level_or_nearly_so(hanging):
+    # one that carries the weight of the body would be told from a hand that holds it by nothing
+    for one in tried(hanging, Wind):
+        assert [k.prior for k in one.knobs] == [ANY, ANY, DOUBTS["wind"] * ANY]
 
 
 def test_without_gravity_any_uniform_pull_is_possible(tiny):
