@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from twinbench.datasets.scenario import Scenario, Split
+from twinbench.diagnosis import inquiry
 from twinbench.diagnosis.baseline import baseline_model
 from twinbench.diagnosis.model import Model, Simulator
 from twinbench.diagnosis.replica import build_replica
@@ -85,3 +86,12 @@ def tiny():
     return SimpleNamespace(
         concealing=concealing, drawn=drawn, known=known, filmed=filmed, sheet=sheet, hands=hands, truth=TRUTH, spacing=SPACING
     )
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """The quick preset takes a second."""
+    patch = pytest.MonkeyPatch()
+    patch.setitem(inquiry.PRESETS, "quick", inquiry.Preset(nodes=100, first=2, steps=2, refits=3))
+    yield
+    patch.undo()

@@ -12,28 +12,20 @@ from twinbench.benchmark.challenge.rivals.base import Given, answer, one_hot
 from twinbench.benchmark.challenge.rivals.sindy import derivatives
 from twinbench.benchmark.challenge.rivals.virtual_force import group_lasso
 from twinbench.datasets.phystwin import write_case
-from twinbench.diagnosis import inquiry
 from twinbench.diagnosis.diagnose import NAMES
 from twinbench.diagnosis.verdict import NONE, OTHER
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 
-TINY = inquiry.Preset(nodes=100, first=2, steps=2, refits=3)
 FRAMES, TRAIN = 36, 24
 LABEL = {"kind": "effect", "effect": "gravity_tilt", "parameters": {}, "place": [None, None], "onset": [0, 0]}
 PER_CASE = [name for name, rival in rivals().items() if not rival.derived]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """A preset that takes a second."""
-    patch = pytest.MonkeyPatch()
-    patch.setitem(inquiry.PRESETS, "quick", TINY)
-    yield
-    patch.undo()
+pytestmark = pytest.mark.usefixtures("quick")
 
 
 @pytest.fixture(scope="module")
-def given(tiny):
+def given(tiny, quick):
     """Gravity leans in both recordings; the hands go opposite ways."""
     about = dict(terms=[GravityTilt], values={"tilt_x": 4.0}, frames=FRAMES, train_end=TRAIN, noise=2e-4)
     return Given(tiny.concealing(**about, name="swing"), tiny.concealing(**about, name="back", way=-0.06))

@@ -15,24 +15,17 @@ from twinbench.diagnosis.diagnose import NAMES
 from twinbench.diagnosis.verdict import MEASUREMENT, NONE, OTHER, Calibration
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 
-TINY = inquiry.Preset(nodes=100, first=2, steps=2, refits=3)
 PARTS = ("baseline", "extended", "noise_floor", "last_residual", "learned_residual")
 FRAMES, TRAIN = 24, 16
 # a decision that always names the best, whatever it is worth
 NAMING = Calibration({"train": 1.0}, {NONE: -50.0, OTHER: -50.0}, {}, named=0.0)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    """A preset that takes a second."""
-    patch = pytest.MonkeyPatch()
-    patch.setitem(inquiry.PRESETS, "quick", TINY)
-    yield
-    patch.undo()
+pytestmark = pytest.mark.usefixtures("quick")
 
 
 @pytest.fixture(scope="module")
-def recordings(tiny):
+def recordings(tiny, quick):
     """(case, transfer): gravity leans in both, the hands go opposite ways; 0.2 mm of noise."""
     given = dict(terms=[GravityTilt], values={"tilt_x": 4.0}, frames=FRAMES, train_end=TRAIN, noise=2e-4)
     return tiny.concealing(**given, name="swing"), tiny.concealing(**given, name="back", way=-0.06)
