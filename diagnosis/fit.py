@@ -15,7 +15,7 @@ import numpy as np
 from .model import Knob, Model, Simulator
 from .replica import Replica
 
-__all__ = ["Fit", "Frames", "Task", "counted", "fit", "gaps", "jacobian", "mean_error", "remoteness", "turned", "weights_of"]
+__all__ = ["Fit", "Frames", "Task", "counted", "doubt", "fit", "gaps", "jacobian", "mean_error", "remoteness", "turned", "weights_of"]
 
 INDEPENDENT = 100.0  # data that a recording is worth: tracks move together, so far fewer than its coordinates
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # Levenberg-Marquardt dampings tried side by side
@@ -183,7 +183,7 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         tame = np.sqrt(by_frame.huber(residual, residual))
         weighted = slopes * (tame**2 * by_frame.weights(tame * residual))[:, None]
         normal = slopes.T @ weighted
-        prior = 1 / wide**2 / (INDEPENDENT + float((z / wide) @ (z / wide)))
+        prior = doubt(z, wide)
         gradient = -(weighted.T @ residual) - prior * z
         objective = by_frame.misfit(tame * residual) + remoteness(z / wide)
         trials = []
@@ -238,6 +238,11 @@ def jacobian(task: Task, model: Model, z, residual, substeps):
 def remoteness(z) -> float:
     """How unlikely knobs at ``z`` (K,) priors from their starts are: normal near them, with the heavy tail of a multivariate t."""
     return float(np.log1p(z @ z / INDEPENDENT))
+
+
+def doubt(z, wide) -> np.ndarray:
+    """(K,) weights of the squares of knobs ``z`` with priors ``wide`` whose sum has the gradient of ``remoteness`` at ``z / wide``."""
+    return 1 / wide**2 / (INDEPENDENT + float((z / wide) @ (z / wide)))
 
 
 def _bounded(knobs: Sequence[Knob], z, step):

@@ -13,8 +13,8 @@ from math import ceil
 
 import numpy as np
 
-from .fit import INDEPENDENT, Fit, Task, remoteness, turned
-from .parts import MARGIN, Part, innovations, judged, nobody
+from .fit import INDEPENDENT, Fit, Task, doubt, remoteness, turned
+from .parts import MARGIN, Part, finite, innovations, judged, nobody
 from .replica import Replica
 
 __all__ = ["foreseen"]
@@ -38,14 +38,14 @@ def foreseen(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
     origin = [r[0] * c for r, c in zip(residuals, counted, strict=True)]
     if not all(np.isfinite(r).all() for r in origin):
         return {p.name: np.inf for p in parts[1:]}
-    slopes = [_finite(((r[1:] * c - o) / widths[:, None]).T) for r, c, o in zip(residuals, counted, origin, strict=True)]
+    slopes = [finite(((r[1:] * c - o) / widths[:, None]).T) for r, c, o in zip(residuals, counted, origin, strict=True)]
     wide = np.array([k.prior for k in knobs])
 
     def misfits(shift):
         return np.array([f.misfit(o + s @ shift) for f, o, s in zip(frames, origin, slopes, strict=True)])
 
     def curvature(shift, some):
-        total = np.diag(1 / wide**2 / (INDEPENDENT + float(((z + shift) / wide) @ ((z + shift) / wide))))
+        total = np.diag(doubt(z + shift, wide))
         slope = total @ (z + shift)
         for f, o, s in list(zip(frames, origin, slopes, strict=True))[:some]:
             r = o + s @ shift
@@ -69,9 +69,3 @@ def foreseen(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
     occam = (np.linalg.slogdet(curvature(shift, len(parts))[0])[1] - np.linalg.slogdet(curvature(0 * shift, 1)[0])[1]) / INDEPENDENT
     share = (dear + (occam if len(z) else 0.0)) / max(1, len(parts) - 1)
     return {p.name: float(np.exp(m + share)) for p, m in zip(parts[1:], misfits(shift)[1:], strict=True)}
-
-
-def _finite(slopes):
-    """Slopes (R, K) without the knobs by which the twin blows up: nothing is known of them."""
-    slopes[:, ~np.isfinite(slopes).all(0)] = 0.0
-    return slopes

@@ -11,7 +11,7 @@ from .fit import Frames, Task, counted, floor_of
 from .model import Model
 from .replica import Replica
 
-__all__ = ["MARGIN", "Part", "innovations", "judged", "nobody"]
+__all__ = ["MARGIN", "Part", "finite", "innovations", "judged", "nobody"]
 
 MARGIN = 1.2  # on a twin's substeps, for numbers beside its own
 
@@ -48,6 +48,11 @@ def innovations(
         out.append((gap / np.sqrt(max(1, there.sum()))).reshape(len(rows), -1))
         frames.append(Frames.of_seen([there], [floor_of(simulator.replica, task.finest)]))
     return out, frames
+
+
+def finite(columns: np.ndarray) -> np.ndarray:
+    """(R, K) slopes, 0 by what makes a twin blow up: that explains nothing."""
+    return np.where(np.isfinite(columns).all(0), columns, 0.0)
 
 
 def nobody(replica: Replica) -> np.ndarray:

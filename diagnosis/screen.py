@@ -11,7 +11,7 @@ import numpy as np
 
 from .fit import INDEPENDENT, Fit, Task, turned
 from .hypotheses import STAGES_IN_ONE, Hypothesis
-from .parts import MARGIN, Part, innovations, judged
+from .parts import MARGIN, Part, finite, innovations, judged
 
 __all__ = ["Score", "screen"]
 
@@ -59,8 +59,8 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
         origin = [r[0] for r in residuals]
         done = 1 + len(turns)
         if nuisance is None:
-            nuisance = [_clean((r[1:done] - r[0]).T / widths) for r in residuals]
-        columns = [_clean((r[done:] - r[0]).T / np.array(steps)) for r in residuals]
+            nuisance = [finite((r[1:done] - r[0]).T / widths) for r in residuals]
+        columns = [finite((r[done:] - r[0]).T / np.array(steps)) for r in residuals]
         at = 0
         for h in members:
             own = slice(at, at + len(h.knobs))
@@ -73,13 +73,6 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
 
 def _without(parts, blind):
     return [p * (b if p.ndim == 1 else b[:, None]) for p, b in zip(parts, blind, strict=True)]
-
-
-def _clean(columns):
-    """Columns that blew up explain nothing."""
-    columns = np.array(columns)
-    columns[:, ~np.isfinite(columns).all(0)] = 0.0
-    return columns
 
 
 def _score(h, origin, nuisance, columns, parts, by_frame):

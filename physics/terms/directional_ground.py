@@ -6,7 +6,7 @@ import warp as wp
 
 from ..parameters import Parameter
 from .base import Effect, Term
-from .ground import Ground, plane, rebound
+from .ground import Ground, plane, rebound, touch
 
 __all__ = ["DirectionalGround"]
 
@@ -27,8 +27,7 @@ def tangents(n: Any):
 @wp.func
 def graze(x: Any, v: Any, dt: Any, p: Any, o: int):
     n, height = plane(x, p, o)
-    elasticity = wp.clamp(p[o], type(dt)(0.0), type(dt)(1.0))
-    friction = wp.clamp(p[o + 1], type(dt)(0.0), type(dt)(2.0))
+    elasticity, friction = touch(p, o)
     first, second = tangents(n)
     a = wp.dot(v, first)
     b = wp.dot(v, second)

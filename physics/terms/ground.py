@@ -7,7 +7,7 @@ import warp as wp
 from ..parameters import Parameter
 from .base import Term
 
-__all__ = ["Ground", "plane", "rebound"]
+__all__ = ["Ground", "plane", "rebound", "touch"]
 
 
 @wp.func
@@ -38,10 +38,16 @@ def rebound(x: Any, v: Any, dt: Any, n: Any, height: Any, elasticity: Any, frict
 
 
 @wp.func
+def touch(p: Any, o: int):
+    """The ground's restitution and friction, within their bounds."""
+    zero = type(p[o])(0.0)
+    return wp.clamp(p[o], zero, type(p[o])(1.0)), wp.clamp(p[o + 1], zero, type(p[o])(2.0))
+
+
+@wp.func
 def bounce(x: Any, v: Any, dt: Any, p: Any, o: int):
     n, height = plane(x, p, o)
-    elasticity = wp.clamp(p[o], type(dt)(0.0), type(dt)(1.0))
-    friction = wp.clamp(p[o + 1], type(dt)(0.0), type(dt)(2.0))
+    elasticity, friction = touch(p, o)
     return rebound(x, v, dt, n, height, elasticity, friction)
 
 

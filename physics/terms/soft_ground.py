@@ -6,7 +6,7 @@ import warp as wp
 
 from ..parameters import Parameter
 from .base import Effect, Term
-from .ground import Ground, plane, rebound
+from .ground import Ground, plane, rebound, touch
 
 __all__ = ["SoftGround"]
 
@@ -15,8 +15,7 @@ __all__ = ["SoftGround"]
 def sink(x: Any, v: Any, dt: Any, p: Any, o: int):
     n, height = plane(x, p, o)
     zero = type(dt)(0.0)
-    elasticity = wp.clamp(p[o], zero, type(dt)(1.0))
-    friction = wp.clamp(p[o + 1], zero, type(dt)(2.0))
+    elasticity, friction = touch(p, o)
     pad = p[o + 6]
     share = wp.clamp(-height / wp.max(pad, type(dt)(1.0e-6)), zero, type(dt)(1.0))
     press = wp.where(pad > zero, p[o + 7] * share * dt, zero)

@@ -6,7 +6,7 @@ import warp as wp
 
 from ..parameters import Parameter
 from .base import Effect, Term
-from .ground import Ground, plane, rebound
+from .ground import Ground, plane, rebound, touch
 
 __all__ = ["StribeckGround"]
 
@@ -14,8 +14,7 @@ __all__ = ["StribeckGround"]
 @wp.func
 def slip(x: Any, v: Any, dt: Any, p: Any, o: int):
     n, height = plane(x, p, o)
-    elasticity = wp.clamp(p[o], type(dt)(0.0), type(dt)(1.0))
-    friction = wp.clamp(p[o + 1], type(dt)(0.0), type(dt)(2.0))
+    elasticity, friction = touch(p, o)
     slide = (v - n * wp.dot(n, v)) / p[o + 7]
     return rebound(x, v, dt, n, height, elasticity, friction + p[o + 6] * wp.exp(-wp.dot(slide, slide)))
 
