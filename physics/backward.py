@@ -2,8 +2,9 @@
 
 A force law F = T(l, l') d along a spring gives its ends opposite forces, so node i needs of each of its springs only w = g_i - g_o, the
 difference of the force adjoints at the two ends: another gather, without contention. Hinges and directors come before, in phases of their
-own, because a director's adjoint reaches the positions from which it was carried along. The springs' phase of substep k and the node's own
-phase of substep k - 1 need no barrier between them, because the latter reads only what its own thread has written.
+own, because a director's adjoint reaches the positions from which it was carried along; so do facets, because they share one volume. The
+springs' phase of substep k and the node's own phase of substep k - 1 need no barrier between them, because the latter reads only what its
+own thread has written.
 
 What a spring remembers goes from q to E(l, l', q) in a substep. Its adjoint is kept at each end, and both ends find the same: that of q is
 that of E times dE/dq, plus w . d times dT/dq.
@@ -17,6 +18,7 @@ from .forward import node_functions, recalling, sighting
 from .native import barrier
 from .paths import give_path, give_speed, speed
 from .rods_back import make_back_rods
+from .skin import make_back_skin
 
 __all__ = ["make_backward"]
 
@@ -26,7 +28,9 @@ def make_backward(kit):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
     pa, ps, remembering, hinged = kit.vectors["axial"], kit.vectors["strand"], kit.remembering, kit.hinged
-    load_axial, load_strand, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    load_axial, load_strand, load_hinge, load_facet, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    skinned = kit.skinned
+    back_press, grown, back_pressed = make_back_skin(kit) if skinned else (None, None, None)
     back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
     get_x, get_v, sum3, sum_axial, sum_strand, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.sum_strand, kit.give
     node, end, _inertia = node_functions(kit)
@@ -64,6 +68,7 @@ def make_backward(kit):
         p_axial = load_axial(w.table, b)
         p_strand = load_strand(w.table, b)
         p_hinge = load_hinge(w.table, b)
+        p_facet = load_facet(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
@@ -95,6 +100,13 @@ def make_backward(kit):
                         back_turn(w, a, k, s, count, p_hinge)
                     round += 1
                     barrier(w.counters, team, blocks, round)
+            swelled = R(0.0)
+            if wp.static(skinned):
+                if k < count and w.facet_start[b + 1] > w.facet_start[b]:
+                    back_press(w, a, k, b, lane, width, dt, p_facet)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    swelled = grown(w, a, k, b, lane)
             for base in range(lo, hi, width // lanes):
                 i = base + lane // lanes
                 if base > lo:
@@ -143,6 +155,11 @@ def make_backward(kit):
                         give_strand(a.strand, i, gs)
                 gx += a.x[i]
                 gv += a.v[i]
+                if wp.static(skinned):
+                    if k < count:
+                        sx, sv = back_pressed(w, a, k, i, swelled)
+                        gx += sx
+                        gv += sv
                 if wp.static(hinged):
                     hx, hv, later = regained(w, a, k, i, count)
                     gx += hx

@@ -11,10 +11,12 @@ import numpy as np
 import torch
 import warp as wp
 
+from .facets import assemble_facets
 from .hinges import assemble
 from .kernels import build
 from .laws import Laws
 from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
+from .native import WARP
 from .resident import engine_for
 from .stability import stable_substeps
 from .system import System
@@ -145,8 +147,10 @@ class Batch:
         integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
         self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()}
         bent, hinged = assemble(systems, indices, x, driver, absent)
-        real = {"dt": self.dt, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
-        self.constants |= {k: self._real(v) for k, v in real.items()} | {k: self._ints(v) for k, v in bent.items()}
+        facets, volume = assemble_facets(systems, start, count)
+        self.facet_starts = facets["facet_start"]
+        real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
+        self.constants |= {k: self._real(v) for k, v in real.items()} | {k: self._ints(v) for k, v in {**bent, **facets}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
@@ -222,6 +226,11 @@ class Batch:
             out = torch.cat([inputs.x[None], out])
         positions = self.split(out)
         return Rollout(positions, np.array([first_bad(p) for p in positions]))
+
+    def parts(self) -> torch.Tensor:
+        """(B, warps of a team) room for what each warp adds to a sum over its system."""
+        blocks, threads, _ = self._team
+        return torch.zeros((len(self.systems), max(1, blocks * threads // WARP)), dtype=self.dtype, device=self.device)
 
     @property
     def twisting(self) -> bool:

@@ -1,10 +1,11 @@
-"""The forward kernel. One substep: hinges, forces, velocity, contacts, move, directors; see ``physics.terms.base`` for the order."""
+"""The forward kernel. One substep: hinges, facets, forces, velocity, contacts, move, directors (order: ``physics.terms.base``)."""
 
 import warp as wp
 
 from .native import barrier
 from .paths import along, speed
 from .rods import make_rods
+from .skin import make_skin
 
 __all__ = ["make_forward", "node_functions", "recalling", "sighting"]
 
@@ -79,8 +80,9 @@ def make_forward(kit):
     axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
     watching, observer = kit.watching, kit.laws.observer
     remembering, strand, evolve = kit.remembering, kit.laws.strand, kit.laws.evolve
-    load_axial, load_strand, load_hinge, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
-    hinged = kit.hinged
+    load_axial, load_strand, load_hinge, load_facet, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
+    hinged, skinned = kit.hinged, kit.skinned
+    bulk, swollen, press, pressed = make_skin(kit) if skinned else (None, None, None, None)
     bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
     get_x, get_v, put, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.sum3, kit.sum4, kit.four
     node, end, inertia = node_functions(kit)
@@ -144,6 +146,7 @@ def make_forward(kit):
         p_axial = load_axial(w.table, b)
         p_strand = load_strand(w.table, b)
         p_hinge = load_hinge(w.table, b)
+        p_facet = load_facet(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
@@ -168,6 +171,18 @@ def make_forward(kit):
                 if w.hinge_start[b + 1] > w.hinge_start[b]:
                     for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
                         bend(w, here, h, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            if wp.static(skinned):
+                if w.facet_start[b + 1] > w.facet_start[b]:
+                    bulk(w, here, b, lane, width)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    ratio = swollen(w, b, lane)
+                    if record and lane == 0:
+                        w.swelling[here, b] = ratio
+                    for q in range(w.facet_start[b] + lane, w.facet_start[b + 1], width):
+                        press(w, here, q, ratio, dt, p_facet)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             for base in range(lo, hi, width // lanes):
@@ -206,6 +221,8 @@ def make_forward(kit):
                 else:
                     if wp.static(hinged):
                         f += bent(w, i)
+                    if wp.static(skinned):
+                        f += pressed(w, i)
                     f += body(x, v, w.home[i], m, p_body)
                     if wp.static(watching):
                         y, u, weight = sighted(w, i, frame, step, substeps, dt)

@@ -22,7 +22,7 @@ from typing import Any
 import warp as wp
 
 from .laws import Laws
-from .native import adder, lane_sum, state_access
+from .native import WARP, adder, lane_sum, state_access
 from .terms.base import STAGED
 
 __all__ = ["Kernels", "build"]
@@ -54,7 +54,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
 
     _init()
     kit = _kit(laws, wp.float64 if double else wp.float32)
-    kit.half, kit.lanes = half, lanes
+    kit.half, kit.lanes, kit.warp = half, lanes, min(threads, WARP)
     # approximate division and square root (2 units in the last place) are a GPU's fast path; float64 is for checking and stays exact
     launch = (threads, 1) if threads > 1 else None
     kit.kernel = wp.kernel(module="unique", enable_backward=False, launch_bounds=launch, module_options={"fast_math": not double})
@@ -85,6 +85,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
     pair = wp.types.vector(2, R)
     vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
+    one = wp.types.vector(1, R)
     get_x, get_v, put = state_access(R, vec)
     World, Adjoint = _structs(R, vec, vectors)
     return SimpleNamespace(
@@ -98,12 +99,15 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         links=laws.start("links"),
         colliding=bool(laws.stage("contact")),
         hinged=bool(laws.stage("hinge")),
+        skinned=bool(laws.stage("facet")),
         watching=bool(laws.stage("observer")),
         remembering=bool(laws.stage("strand")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
         get_x=get_x,
         get_v=get_v,
         put=put,
+        one=one,
+        sum1=lane_sum(one, 1),
         sum3=lane_sum(vec, 3),
         sum4=lane_sum(four, 4),
         sum_contact=lane_sum(vectors["contact"], laws.width("contact")),
@@ -130,7 +134,7 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, ps, ph, pf, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
     pq, pair = vectors["memory"], vectors["natural"]
 
     @wp.struct
@@ -178,6 +182,14 @@ def _structs(R, vec, vectors):
         directors: wp.array2d(dtype=vec)  # (slots, S)
         turn_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
         turn_of: wp.array(dtype=wp.int32)  # 4 segment + place among the nodes around it
+        facet_start: wp.array(dtype=wp.int32)  # (B+1,) first facet of each system
+        corner: wp.array2d(dtype=wp.int32)  # (F, 3) nodes
+        facet_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        facet_of: wp.array(dtype=wp.int32)  # 3 facet + place in it
+        volume: wp.array(dtype=R)  # (B,) m^3, enclosed in frame 0, or 0
+        parts: wp.array2d(dtype=R)  # (B, warps) m^3, what each warp's facets add to the volume
+        swelling: wp.array2d(dtype=R)  # (slots, B) volume in frame 0 over that now; kept only to go back
+        face: wp.array(dtype=vec)  # (F,) N, a third of the force on each facet
         near_row: wp.array(dtype=wp.int32)  # (nodes+1,) first contact candidate
         near: wp.array(dtype=wp.int32)  # (candidates,)
         out: wp.array2d(dtype=vec)  # (frames, nodes) m, at the ends of the frames from the first on
@@ -203,6 +215,10 @@ def _structs(R, vec, vectors):
         rolled_flexure: wp.array(dtype=R)
         hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient by forces
         twist: wp.array(dtype=ph)  # (S,) and by rolls
+        faced: wp.array2d(dtype=vec)  # (F, 2) of a substep's forces: a facet's area vector, a third of its velocity
+        faced_mass: wp.array(dtype=R)  # (F,) and the mass that it carries
+        parts: wp.array2d(dtype=R)  # (B, warps) of the ratio of volumes
+        facet: wp.array(dtype=pf)  # (F,) shares of the parameters' gradient
         memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
         strand: wp.array(dtype=ps)

@@ -55,6 +55,7 @@ class Laws:
             strand=_strand(self),
             evolve=_evolve(self),
             hinge=_hinge(self),
+            facet=_facet(self),
             body=_body(self),
             observer=_observer(self),
             velocity=_velocity(self),
@@ -95,6 +96,24 @@ def _plus_hinge(before, law, offset):
     @wp.func
     def total(kappa: Any, rate: Any, natural: Any, span: Any, p: Any):
         return before(kappa, rate, natural, span, p) + law(kappa, rate, natural, span, p, offset)
+
+    return total
+
+
+def _facet(laws):
+    @wp.func
+    def total(area: Any, v: Any, m: Any, swell: Any, dt: Any, p: Any):
+        return type(area)()
+
+    for term, offset in laws.stage("facet"):
+        total = _plus_facet(total, term.law, offset)
+    return total
+
+
+def _plus_facet(before, law, offset):
+    @wp.func
+    def total(area: Any, v: Any, m: Any, swell: Any, dt: Any, p: Any):
+        return before(area, v, m, swell, dt, p) + law(area, v, m, swell, dt, p, offset)
 
     return total
 

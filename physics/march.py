@@ -73,7 +73,7 @@ class Carrier:
 
     def set(self, **tensors):
         vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {"directors", "bent", "turned"}
+        vectors |= {"directors", "bent", "turned", "face", "faced"}
         for name, tensor in tensors.items():
             kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
             dtype = wp.int32 if tensor.dtype == torch.int32 else kind
@@ -116,6 +116,7 @@ class World(Carrier):
                 **{k: values[k][ends] for k in ("rest", "stiffness")},
                 **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure")},
                 **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
+                **dict(face=empty(batch.facet_starts[-1], 3), swelling=empty(slots, len(batch.systems)), parts=batch.parts()),
                 **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(near_row=near_row, near=near, counters=counters),
@@ -151,11 +152,13 @@ class Adjoint(Carrier):
             return torch.zeros((count, *width), dtype=batch.dtype, device=batch.device)
 
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
-        stages = {s: zeros(batch.laws.width(s), count=hinges if s == "hinge" else batch.node_count) for s in STAGED}
+        counts = {"hinge": hinges, "facet": batch.facet_starts[-1]}
+        stages = {s: zeros(batch.laws.width(s), count=counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure")}
         rods = dict(bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2))
         rods |= dict(twist=zeros(batch.laws.width("hinge"), count=segments))
         rods |= dict(rolled_natural=zeros(2, count=2 * segments), rolled_flexure=zeros(count=2 * segments))
+        faced = dict(faced=zeros(2, 3, count=counts["facet"]), faced_mass=zeros(count=counts["facet"]), parts=batch.parts())
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
@@ -165,6 +168,7 @@ class Adjoint(Carrier):
                 **stages,
                 **inputs,
                 **rods,
+                **faced,
             ),
         )
         for name in ("rest", "mass", "table"):
@@ -177,10 +181,11 @@ class Adjoint(Carrier):
         def by_system(shares, starts):
             return torch.stack([shares[a:b].sum(0) for a, b in pairwise(starts)])
 
-        nodal = [s for s in (*STAGED, "links") if s != "hinge"]
+        nodal = [s for s in (*STAGED, "links") if s not in ("hinge", "facet")]
         shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
         parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
+        parts["facet"] = by_system(t["facet"], batch.facet_starts)
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
         for stage, part in parts.items():
             first = batch.laws.start(stage)

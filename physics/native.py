@@ -5,7 +5,9 @@ On a CPU each of them is the plain thing.
 
 import warp as wp
 
-__all__ = ["adder", "barrier", "lane_sum", "state_access"]
+__all__ = ["WARP", "adder", "barrier", "lane_sum", "state_access"]
+
+WARP = 32  # threads of a GPU that go together
 
 _BARRIER = """
 #if defined(__CUDA_ARCH__)

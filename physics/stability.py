@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from .facets import enclosed
 from .hinges import FOLD
 from .system import System
 
@@ -29,6 +30,8 @@ def stable_step(system: System) -> float:
     per rate. Near a straight shape |g| = 1 / l of its segment for the outer nodes and their sum for the middle one; at an angle a it is
     larger by 1 / cos^2(a / 2), and that of twist is |kb| / (2 l). What a bent hinge's moment adds by turning (M times the second
     derivative of kappa) is not in it: it is none in the natural shape.
+
+    A pressure k (V0 / V - 1) adds k V0 / V^2 g_i g_j' with the volume's gradient g_i, a third of the area vectors around a node.
     """
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
     free[system.particle_count :] = False
@@ -41,6 +44,7 @@ def stable_step(system: System) -> float:
         np.add.at(damping, end, times * dashpot)
     for own, total in zip((stiffness, damping), _hinge_rows(system, free), strict=True):
         own += total
+    stiffness += _pressure_rows(system, free)
     inside = np.flatnonzero(free)
     if not len(inside):
         return math.inf
@@ -87,6 +91,19 @@ def _hinge_rows(system, free):
         for strength, g in ((per[:2].max(0), bends), (per[2], twists)):
             np.add.at(found[which], joined, strength[:, None] * g * (g * free[joined]).sum(1, keepdims=True))
     return found
+
+
+def _pressure_rows(system, free):
+    """Row sums (nodes,) of the stiffness of what is enclosed [N/m], at the volume of frame 0."""
+    found, volume = np.zeros(len(free)), enclosed(system.positions, system.facets)
+    strength = system.values.get("pressure", 0.0) * system.values.get("pressure_fill", 1.0)
+    if not (strength and volume):
+        return found
+    a, b, c = np.moveaxis(system.positions[system.facets], 1, 0)
+    grown = np.zeros((len(free), 3))
+    np.add.at(grown, system.facets, (np.cross(b - a, c - a) / 6)[:, None])
+    size = np.linalg.norm(grown, axis=1)
+    return strength / volume * size * size[free].sum()
 
 
 def stable_substeps(systems, frame_seconds: float, *, safety: float = 0.5, least: int = 10) -> int:

@@ -33,6 +33,7 @@ class System:
     span         (H,) m, the length of body that each stands for; half of its two segments at the start unless given
     flexure      (H,) stiffness relative to the terms'; 1 unless given
     chains       arrays of nodes in order, each a rope, or a ring where the last is the first: hinges along them twist as well
+    facets       (F, 3) int: particles at the corners of the skin's triangles, anticlockwise from outside; only facet terms read them
     seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
     """
@@ -51,6 +52,7 @@ class System:
     span: np.ndarray | None = None
     flexure: np.ndarray | None = None
     chains: tuple[np.ndarray, ...] = ()
+    facets: np.ndarray | None = None
     home: np.ndarray | None = None
     seen: np.ndarray | None = None
     sight: np.ndarray | None = None
@@ -111,6 +113,11 @@ class System:
         refuse(self.span <= 0, lambda h: f"hinge span must be > 0 [m], got {self.span[h]} at hinge {h}, {self.hinges[h].tolist()}")
         own("flexure", len(self.hinges), default=np.ones(len(self.hinges)))
         refuse(self.flexure < 0, lambda h: f"hinge flexure must be >= 0, got {self.flexure[h]} at hinge {h}, {self.hinges[h].tolist()}")
+        own("facets", "F", 3, whole=True, default=np.zeros((0, 3)))
+        outside = ((self.facets < 0) | (self.facets >= count)).any(1)
+        refuse(outside, lambda f: f"facets must join particles 0 to {count - 1}, got {self.facets[f].tolist()} at facet {f}")
+        flat = (np.diff(np.sort(self.facets, axis=1), axis=1) == 0).any(1)
+        refuse(flat, lambda f: f"facets must have three different corners, got {self.facets[f].tolist()} at facet {f}")
         if self.seen is not None:
             self._own_sightings(count)
 

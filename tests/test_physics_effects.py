@@ -12,6 +12,7 @@ import pytest
 import twinbench.physics.terms as rooms
 from scipy.spatial.transform import Rotation
 from twinbench.physics.batch import Batch
+from twinbench.physics.facets import solid_facets
 from twinbench.physics.system import System
 from twinbench.physics.terms import (
     AddedMass,
@@ -59,7 +60,7 @@ AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
 
 def body(positions, *extra, springs=(), stiffness=(), controllers=STILL, velocities=None, **options):
     """A system of which only what is given here acts: ``extra`` terms, values of parameters, other fields of a system."""
-    given = {k: options.pop(k) for k in ("masses", "rest", "grips", "seen", "hinges", "chains") if k in options}
+    given = {k: options.pop(k) for k in ("masses", "rest", "grips", "seen", "hinges", "chains", "facets") if k in options}
     kinds = [k for k in AIR if not (k is Ground and any(e.stage == "move" for e in extra))]
     return System(
         positions=np.atleast_2d(positions),
@@ -614,6 +615,7 @@ def thrown(term, share, table=True, *, roped=None):
         velocities=speed,
         grips=grips,
         seen=seen,
+        facets=solid_facets(x[:count], radius=0.1),
         **hinged,
     )
     return body(x, *extra, **given, **values)

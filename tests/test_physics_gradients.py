@@ -13,6 +13,7 @@ import twinbench.physics.batch as engine
 import twinbench.physics.terms as rooms
 from twinbench.physics import march
 from twinbench.physics.batch import Batch, Inputs
+from twinbench.physics.facets import solid_facets
 from twinbench.physics.hinges import natural_curvature
 from twinbench.physics.system import System
 from twinbench.physics.terms import (
@@ -23,6 +24,8 @@ from twinbench.physics.terms import (
     Gravity,
     Ground,
     LinearDrag,
+    PlateDrag,
+    Pressure,
     SelfCollision,
     Springs,
     Term,
@@ -40,7 +43,7 @@ AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
 ROD = (*AIR, Bending, BendingDamping, Torsion)
 MEMORIES = (*AIR, Plasticity, SelfCollision, Viscoelastic, GripSlip)
 KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "memories too": MEMORIES}
-KINDS |= {"ground and hinges": ROD, "all": (*MEMORIES, Bending, BendingDamping, Torsion)}
+KINDS |= {"ground and hinges": ROD, "all": (*MEMORIES, Bending, BendingDamping, Torsion, PlateDrag, Pressure)}
 every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
 HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
 VALUES = dict(
@@ -110,6 +113,7 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
         natural=natural_curvature(nodes, hinges, [rope]) * rng.uniform(0.5, 1.5, (len(hinges), 1)),
         flexure=rng.uniform(0.5, 2, len(hinges)),
         chains=[rope],
+        facets=solid_facets(points, radius=0.1),
         terms=terms,
     )
 

@@ -23,6 +23,7 @@ INPUTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
     "strand": ("length", "rate", "rest", "stiffness", "link", "middle", "t", "q"),
     "hinge": ("kappa", "rate", "natural", "span"),
+    "facet": ("area", "v", "m", "swell", "dt"),
     "body": ("x", "v", "home", "m"),
     "observer": ("x", "v", "home", "y", "u", "m"),
     "velocity": ("v", "dt"),
@@ -137,6 +138,10 @@ def kernel_of(term, stage):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
 
+    def facet(a: A, b: A, c: S, d: S, e: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], p[i], wp.static(OFFSET))
+
     def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], p[i], wp.static(OFFSET))
@@ -167,7 +172,7 @@ def kernel_of(term, stage):
         out[i] = x
         out2[i] = v
 
-    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, body=body)
+    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, facet=facet, body=body)
     stages |= dict(observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[stage], module="unique", enable_backward=False), P
 
@@ -196,6 +201,8 @@ def random_inputs(stage, rng):
         return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
     if stage == "hinge":
         return [x[0], v[0], x[1] * [1.0, 1.0, 0.0], 0.1 * positive[0]]
+    if stage == "facet":
+        return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
     if stage in ("body", "observer"):
         return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
     return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]
@@ -357,12 +364,13 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    first = ["_axial", "_strand", "_hinge", "_body", "_observer", "_velocity"]
+    first = ["_axial", "_strand", "_hinge", "_facet", "_body", "_observer", "_velocity"]
     assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
     air = [
         "dashpot_damping",
         "_strand",
         "_hinge",
+        "_facet",
         *gravity,
         "_observer",
         "drag_damping",
@@ -374,8 +382,8 @@ def test_columns_are_ordered_by_stage_and_padded():
     assert Laws(AIR).columns == air
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
     assert Laws((SelfCollision, Springs)).columns == [*first, *contact, "_move", "_links", "_setup"]
-    assert Laws((Wind, Hardening, Gravity)).columns[:9] == ["cubic", "square", "_strand", "_hinge", "wind_x", "wind_y", *gravity]
-    assert Laws((Count, Wind, Stir)).columns[:7] == ["_axial", "count", "stir", "stir_link", "_hinge", "wind_x", "wind_y"]
+    assert Laws((Wind, Hardening, Gravity)).columns[:10] == ["cubic", "square", "_strand", "_hinge", "_facet", "wind_x", "wind_y", *gravity]
+    assert Laws((Count, Wind, Stir)).columns[:8] == ["_axial", "count", "stir", "stir_link", "_hinge", "_facet", "wind_x", "wind_y"]
 
 
 NEW = [(Wind, Hardening, Gravity, Brake), (Count, Springs, Stir), (Dashpot, Springs, Hardening)]

@@ -25,6 +25,8 @@ from .internal_friction import InternalFriction
 from .linear_drag import LinearDrag
 from .observer import Observer
 from .plasticity import Plasticity
+from .plate_drag import PlateDrag
+from .pressure import Pressure
 from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
 from .second_hand import SecondHand
@@ -65,6 +67,8 @@ __all__ = [
     "LinearDrag",
     "Observer",
     "Plasticity",
+    "PlateDrag",
+    "Pressure",
     "QuadraticDrag",
     "RestShape",
     "SecondHand",

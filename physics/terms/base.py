@@ -7,6 +7,7 @@ stage       law                                                      returns
 "axial"     (length, rate, rest, stiffness, p, o)                    tension along the spring [N], positive pulls its ends together
 "strand"    (length, rate, rest, stiffness, link, middle, t, q, p, o) tension along a spring that remembers q [N]
 "hinge"     (kappa, rate, natural, span, p, o)                       moment of a hinge [N m], the work per change of kappa
+"facet"     (area, v, m, swell, dt, p, o)                            force on a facet [N], which its three corners share
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
 "observer"  (x, v, home, y, u, m, p, o)                              force on one particle that was seen at y [m], moving with u [m/s]
 "velocity"  (v, dt, p, o)                                            velocity after the stage [m/s]
@@ -26,10 +27,13 @@ term with a parameter ``collide_neighbours`` of 0 leaves out those that start cl
 A hinge is three nodes in a row; kappa holds its curvature about two material axes, 2 tan(angle / 2) = 2 tan(k l / 2), and its twist [rad];
 rate [1/s] is theirs, natural (n1, n2, 0) the wanted curvature, span [m] the length that the hinge stands for. See ``physics.rods``.
 
+A facet is three particles; area [m^2] is its area vector, outward where the skin is closed, v [m/s] its mean velocity, m [kg] the mass
+that it carries, and swell what the skin enclosed in frame 0 over what it encloses now: 1 where it is open. See ``physics.skin``.
+
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
+Forces are summed over axial, strand, hinge, facet, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -40,8 +44,8 @@ from ..parameters import Parameter
 
 __all__ = ["STAGED", "STAGES", "Effect", "Term"]
 
-STAGES = ("axial", "strand", "hinge", "body", "observer", "velocity", "contact", "move", "links", "setup")
-STAGED = STAGES[:8]  # whose laws are in the kernels
+STAGES = ("axial", "strand", "hinge", "facet", "body", "observer", "velocity", "contact", "move", "links", "setup")
+STAGED = STAGES[:9]  # whose laws are in the kernels
 
 
 @dataclass(frozen=True)
