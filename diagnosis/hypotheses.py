@@ -16,6 +16,7 @@ from .locate import peaks
 from .model import Knob, Simulator
 from .replica import spread_out
 from .sightings import where_unseen
+from .skins import heaviness
 
 __all__ = ["Hypothesis", "catalogue", "hypotheses_for"]
 
@@ -25,7 +26,7 @@ PART = 0.25  # of a body's extent: what reaches farther is no part of it
 ANY = 10.0  # noticeable sizes: an effect may be as large
 DOUBTS = {"gravity_tilt": 0.02, "wind": 0.1}  # of that, along gravity: what would do no more than change the weight
 FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
-STAGES_IN_ONE = ("axial", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
+STAGES_IN_ONE = ("axial", "facet", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
         if not _applies(term, simulator):
             continue
         effect, known = term.effect, {p.name: p for p in term.parameters}
-        size = max(abs(effect.typical[a]) for a in effect.amplitudes) if term.stage != "hinge" else _rigidity(simulator.replica, term)
+        size = _noticeable(simulator.replica, term)
         knobs = tuple(
             Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=ANY * _doubtful(term, a, simulator.replica.recording))
             for a in effect.amplitudes
@@ -95,6 +96,14 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
             for place in _places(term, simulator, predicted, push, values):
                 found.append(Hypothesis(effect.name, term, {**values, **place}, knobs, widest))
     return found
+
+
+def _noticeable(replica, term) -> float:
+    """A noticeable amplitude for particles of unit mass."""
+    if term.stage == "hinge":
+        return _rigidity(replica, term)
+    size = max(abs(term.effect.typical[a]) for a in term.effect.amplitudes)
+    return size * heaviness(replica.system) if term.stage == "facet" else size
 
 
 def _rigidity(replica, term) -> float:
@@ -123,6 +132,8 @@ def _applies(term, simulator):
     parameters = {p.name for p in term.parameters}
     if ("ground_offset" in parameters or "adhesion_offset" in parameters or term.name == "ground_pose") and recording.ground is None:
         return False
+    if term.stage == "facet":  # a sheet has two sides in the air, a solid has an inside
+        return len(simulator.replica.system.facets) > 0 and (term.name == "pressure") == (len(recording.interior) > 0)
     if term.name in ("grip_points", "grip_compliance", "grip_slip") and not simulator.replica.links.any():
         return False
     return term.name != "controller_delay" or len(recording.grips) > 0

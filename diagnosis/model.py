@@ -19,6 +19,7 @@ __all__ = ["Knob", "Model", "Simulator"]
 LADDER = 1.15  # substeps come in steps of 15 %, so that finite differences compare runs on one grid
 SAFETY = 0.8  # of the stable step
 BATCH = 64  # systems in one launch
+STIFF = ("axial", "strand", "hinge", "facet")  # stages whose laws say how long a substep may be
 MOST = 300  # substeps a frame: a body that needs more is too stiff to be told from a stiffer one
 
 
@@ -106,7 +107,7 @@ class Simulator:
         made = batch.prepare(replace(batch.inputs, table=self._table(batch, terms, [values])))
         count = self.replica.system.particle_count
         masses = made.mass[:count].cpu().numpy().astype(float)
-        terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in ("axial", "strand", "hinge"))
+        terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in STIFF)
         body = replace(
             self.replica.system, stiffness=made.stiffness.cpu().numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms
         )

@@ -14,6 +14,7 @@ from ..physics.topology import controller_springs, object_springs, rope_hinges, 
 from .matching import material_coordinates
 from .ropes import apart, marked_chains, rope_chains
 from .sightings import Sightings, sight_markers, sight_nodes, where_unseen
+from .skins import facets_of
 
 __all__ = ["Replica", "build_replica", "spread_out"]
 
@@ -144,6 +145,7 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
         hinges=hinges,
         natural=natural_curvature(positions, hinges, chains) if chains else None,
         chains=chains,
+        facets=None if chains else facets_of(recording, positions, body, own),
         velocities=_start_velocity(early, positions, recording.fps),
         seen=sightings.position,
         home=home,
