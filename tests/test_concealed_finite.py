@@ -517,6 +517,37 @@ def test_a_table_that_tilts_is_where_it_is_said_to_be():
     np.testing.assert_allclose(above, body.radius, atol=2e-4)
 
 
+def test_a_filling_and_its_air_share_a_load():
+    # a steady pressure p swells the body until the foam and the air that thins out hold it together. Foam of energy
+    # mu/2 (I1 - 3) - mu log J + lam/2 (log J)^2 under equal stretches s has the Cauchy stress (mu (s^2 - 1) + lam log J) / J, J = s^3
+    from scipy.optimize import brentq
+
+    body = replace(bodies.plush(np.random.default_rng(0)), drag=20.0)
+    shear = body.young / (2 * (1 + body.poisson))
+    lame = 2 * shear * body.poisson / (1 - 2 * body.poisson)
+    bulk = lame + 2 * shear / 3
+
+    def steady(world):
+        def step(time, x, v):
+            a, b, c = np.moveaxis(x[body.faces], 1, 0)
+            force = np.zeros_like(x)
+            np.add.at(force, body.faces, (0.05 * bulk * np.cross(b - a, c - a) / 6)[:, None])
+            return force
+
+        return step
+
+    laws_ = (laws.pressure(0.3 * bulk), steady)
+    motion = simulate(body, replace(FREE, frames=61), Physics(gravity=(0.0, 0.0, 0.0), laws=laws_), substeps=64)
+    edges = motion.vertices[-1][body.elements[:, 1:]] - motion.vertices[-1][body.elements[:, :1]]
+    grown = np.linalg.det(edges).sum() / 6 / body.measure.sum()
+
+    def balance(s):
+        stress = (shear * (s**2 - 1) + lame * 3 * np.log(s)) / s**3
+        return 0.05 * bulk + 0.3 * bulk * (s**-3 - 1) - stress
+
+    assert grown == pytest.approx(brentq(balance, 0.9, 1.2) ** 3, rel=1e-3)
+
+
 def test_what_creeps_forgets_its_shear_and_keeps_its_volume():
     body, tau = sheet(), 0.4
     world, x = World(body, FREE, NOWHERE, 80), stretched(body, 0.02)

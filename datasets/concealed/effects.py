@@ -224,6 +224,20 @@ def viscoelastic(on, size):
     return _forces(on, laws.maxwell(ratio, tau), parameters={"ratio": ratio, "time_s": tau}, substeps=48)
 
 
+@_effect(("plush",), ("lift_shake", "fold"))
+def pressure(on, size):
+    """A filling that gives way where it is squeezed, in a hull that keeps its air; without it, one that does not."""
+    share, modulus = on.rng.uniform(0.07, 0.15), size * on.rng.uniform(0.4, 1.2) * on.body.young
+    limp = laws.buckles(share)
+    return Effect(
+        on.body,
+        Physics(laws=(limp, laws.pressure(modulus))),
+        parameters={"modulus_Pa": modulus, "beside": f"a filling that has {share:.2f} of its stiffness where it is squeezed"},
+        substeps=64,
+        around=Physics(laws=(limp,)),
+    )
+
+
 @_effect()
 def added_mass(on, size):
     near, _ = _patch(on, {"cloth": 0.06, "rope": 0.05, "plush": 0.045}[on.body.kind])

@@ -19,6 +19,7 @@ __all__ = [
     "motor",
     "plate",
     "poles",
+    "pressure",
     "rotating",
     "rubs",
     "shrinks",
@@ -71,6 +72,30 @@ def plate(coefficient: float) -> Law:
             rate = np.minimum(coefficient * area * np.linalg.norm(across, axis=1), carried / dt)
             force = np.zeros_like(x)
             np.add.at(force, faces, -(rate[:, None] * across / corners)[:, None])
+            return force
+
+        return step
+
+    return start
+
+
+def pressure(modulus: float) -> Law:
+    """What fills a closed skin presses outward by ``modulus`` [Pa] times (V0 / V - 1), V0 being the volume where it was laid down."""
+
+    def start(world):
+        faces = world.body.faces
+
+        def areas(x):
+            a, b, c = np.moveaxis(x[faces] - x[faces[0, 0]], 1, 0)
+            area = np.cross(b - a, c - a) / 2
+            return area, np.einsum("fd,fd->", a, area) / 3
+
+        filled = areas(world.start)[1]
+
+        def step(time, x, v):
+            area, volume = areas(x)
+            force = np.zeros_like(x)
+            np.add.at(force, faces, (modulus * (filled / volume - 1) * area / 3)[:, None])
             return force
 
         return step
