@@ -16,6 +16,7 @@ from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .locate import clusters
 from .page.document import plain
+from .planner import experiment
 from .report import write_report
 from .verdict import NONE, Calibration, Decision, calibration, context, decide, readings
 
@@ -99,6 +100,7 @@ def diagnose(
     after = inquiry.free(chosen.found) if chosen else None
     change = np.linalg.norm(after[0] - before[0], axis=-1) if chosen else None
     nodes, where = _where(inquiry, chosen, change)
+    advice, planned = experiment(inquiry, decision)
     result = {
         "schema": 1,
         "verdict": decision.verdict,
@@ -110,7 +112,7 @@ def diagnose(
         "parameters": _parameters(chosen),
         "fit": _errors(inquiry, chosen, before[0]),
         "detectable": _detectable(inquiry),
-        "experiment": _experiment(inquiry, decision),
+        "experiment": advice,
         "evidence": {
             "hypotheses": _table(inquiry, decision),
             "clusters": _clusters(inquiry),
@@ -119,6 +121,7 @@ def diagnose(
             "recordings": _recordings(inquiry),
             "readings": [{"effect": r.effect, "term": r.term, **r.features} for r in found],
             "context": around,
+            "plan": planned,
             "where_nodes": nodes,
             "twin": inquiry.base.fit.values,
         },
@@ -257,24 +260,6 @@ def _detectable(inquiry):
         if responds and np.isfinite(size) and size < max(abs(k.high) for k in h.knobs):
             out[h.effect] = size if out.get(h.effect) is None else min(out[h.effect], size)
     return out
-
-
-def _experiment(inquiry, decision: Decision):
-    """What to record next, where this recording leaves something open."""
-    motions = {s.hypothesis.effect: s.hypothesis.term.effect.motion for s in inquiry.scores if s.hypothesis.term.effect.motion}
-    words = {s.hypothesis.effect: s.hypothesis.term.effect.says for s in inquiry.scores}
-    open_names = [n for n in (decision.effect, *decision.alternatives) if n]
-    if decision.verdict == "ambiguous":
-        lines = [f"if {words.get(n, n)}, what shows it is {motions[n]}" for n in open_names if n in motions]
-        return (
-            "Record both: " + "; ".join(lines) + ". The reading whose motion the extended twin still predicts is the right one."
-            if lines
-            else None
-        )
-    if decision.verdict in ("cannot_tell", "unknown"):
-        lines = [f"{motions[n]} ({n.replace('_', ' ')})" for n in open_names if n in motions]
-        return "To tell more: " + "; ".join(lines) + "." if lines else None
-    return None
 
 
 def _table(inquiry, decision):

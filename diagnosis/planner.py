@@ -1,0 +1,238 @@
+"""Which motion would tell two readings apart, and what each outcome would mean.
+
+Both readings are twins that fit what was recorded. A motion separates them by as much as their predictions differ that nothing which the
+fits left open can close: T-optimality (Atkinson and Fedorov 1975), linear in what is open, for both sides. With columns J of one standard
+deviation of the knobs of either fit, and R the variance of what is observed,
+
+    D^2 = min_u (y_A - y_B - J u)' R^-1 (y_A - y_B - J u) + u' u
+
+In R are the noise, the error that such twins are known to make, and what a start that is only known as well as it was seen grows to: a
+motion after which nobody can say where the body is tells nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .fit import INDEPENDENT, Fit, floor_of
+from .inquiry import Inquiry
+from .model import Simulator
+from .motions import Motion, Setting, motions
+from .refit import Verdictable
+from .verdict import Decision
+
+__all__ = ["Plan", "experiment", "plan"]
+
+MODES = 6  # directions in which a fit is least sure, that may close the gap
+SHARE = 0.5  # of a standard deviation: step of finite differences
+TRIED = 6  # motions whose gap is looked into
+TELLING = 3.0  # least D of a motion that is worth the while
+VISIBLE = 0.005  # m: what eyes can tell
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One side: its name, the clause after "if", and its twin."""
+
+    name: str
+    says: str
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The motion that tells two readings apart best.
+
+    separation  D of it; telling: whether that is enough
+    others      D of every other motion that was looked into, or its bound: no nuisance may widen a gap
+    predicted   (2, T, n, 3) m, nodes by the first and the second reading
+    says        what to do, where to look, and what each outcome means
+    """
+
+    motion: Motion
+    separation: float
+    others: dict[str, float]
+    predicted: np.ndarray
+    says: str
+
+    @property
+    def telling(self) -> bool:
+        return self.separation >= TELLING
+
+
+def plan(simulator: Simulator, rivals: Sequence[Reading], *, error: float = 0.0, finest: float = 0.0) -> Plan | None:
+    """The best motion to tell two ``rivals`` apart on the body of ``simulator``, or None where none can be simulated.
+
+    error   m, by which such twins are off in free runs; finest: that nobody asks them for
+    Raises ValueError where nobody holds the body.
+    """
+    setting = Setting.of(simulator.replica)
+    rows = [[one.fit.values] for one in rivals]
+    found = []
+    for motion in motions(setting):
+        moved = _moving(simulator, motion)
+        predicted = np.concatenate([_free(moved, r.fit, row) for r, row in zip(rivals, rows, strict=True)])
+        if np.isfinite(predicted).all():
+            found.append((motion, moved, predicted))
+    if not found:
+        return None
+    noise = floor_of(simulator.replica, finest) + error**2
+    free = np.setdiff1d(np.arange(len(simulator.replica.nodes)), simulator.replica.driven)
+    bounds = [_gap(p[0] - p[1], None, noise, free)[0] for _, _, p in found]
+    order, best, others = np.argsort(bounds)[::-1], None, {found[k][0].name: float(bounds[k]) for k in range(len(found))}
+    for k in order[:TRIED]:
+        motion, moved, predicted = found[k]
+        if best is not None and bounds[k] <= best[0]:
+            break  # no nuisance widens a gap
+        columns, spread = _open(moved, rivals, predicted)
+        variance = noise + spread
+        separation, left = _gap(predicted[0] - predicted[1], columns, variance, free)
+        others[motion.name] = separation
+        if best is None or separation > best[0]:
+            best = (separation, motion, predicted, columns, variance, left)
+    separation, motion, predicted, columns, variance, left = best
+    others.pop(motion.name)
+    says = _words(setting, simulator.replica, rivals, motion, predicted, columns, variance, left, free, separation)
+    return Plan(motion, separation, others, predicted, says)
+
+
+def experiment(inquiry: Inquiry, decision: Decision) -> tuple[str | None, dict | None]:
+    """What to record next where a recording leaves something open, in words; and the plan's figures, if motions could be simulated.
+
+    Of two effects between which it cannot decide, the motion that tells them apart; where it cannot tell whether there is any, the one that
+    tells the likeliest from none.
+    """
+    names = [n for n in (decision.effect, *decision.alternatives) if n]
+    if decision.verdict not in ("ambiguous", "cannot_tell", "unknown") or not names:
+        return None, None
+    words = {s.hypothesis.effect: s.hypothesis.term.effect.motion for s in inquiry.scores}
+    shown = "; ".join(f"{words[n]} ({n.replace('_', ' ')})" for n in names if words.get(n))
+    by_word = f"What shows each: {shown}." if shown else None
+    found = _planned(inquiry, names, decision.verdict) if decision.verdict != "unknown" else None
+    if found is None:
+        return by_word, None
+    return found.says if found.telling else " ".join(filter(None, (found.says, by_word))), _figures(found, inquiry)
+
+
+def _planned(inquiry, names, verdict) -> Plan | None:
+    """The plan for the two likeliest of ``names``, or the likeliest and nothing; None where a twin of one is wanting or nobody holds it."""
+    rivals, twins = [], []
+    for name in names[: 2 if verdict == "ambiguous" else 1]:
+        mine = [r for r in inquiry.refits if r.score.hypothesis.effect == name and np.isfinite(r.found.fit.loss)]
+        mine = [r for r in mine if r.score.hypothesis.term.stage != "observer"]  # which only says how things were, not how they will be
+        if not mine:
+            return None
+        one = max(mine, key=lambda r: r.promise)
+        rivals.append(Reading(name.replace("_", " "), one.score.hypothesis.term.effect.says, one.found.fit))
+        twins.append(one.found)
+    if verdict != "ambiguous":
+        rivals.append(Reading("nothing", "nothing is missing", inquiry.base.fit))
+        twins.append(inquiry.base)
+    if len(rivals) < 2 or not len(inquiry.case.recording.controllers[0]):
+        return None
+    return plan(inquiry.simulators[0], rivals, error=_error(twins), finest=inquiry.finest)
+
+
+def _error(twins: Sequence[Verdictable]) -> float:
+    """m, the error of the better twin's free runs where it was not fitted."""
+    return min(float(np.mean([e for name, e in t.free.items() if name != "train"] or [t.free["train"]])) for t in twins)
+
+
+def _figures(found: Plan, inquiry) -> dict:
+    return {
+        "motion": found.motion.name,
+        "seconds": round(len(found.motion.controllers) / float(inquiry.case.recording.fps), 2),
+        "separation": round(found.separation, 2),
+        "others": {name: round(d, 2) for name, d in sorted(found.others.items(), key=lambda item: -item[1])},
+    }
+
+
+def _moving(simulator: Simulator, motion: Motion) -> Simulator:
+    """The body of frame 0, at rest, in hands that make another motion."""
+    body = replace(simulator.replica.system, controllers=motion.controllers, velocities=None, seen=None, sight=None)
+    return Simulator(replace(simulator.replica, system=body), device=simulator.device, double=simulator.double)
+
+
+def _free(moved: Simulator, fit: Fit, rows) -> np.ndarray:
+    """(B, T, n, 3) free runs of a fit's model with ``rows`` of values."""
+    rows = [{**row, "observer_bandwidth": 0.0} for row in rows]
+    return moved.run(fit.model.terms, rows, len(moved.replica.system.controllers), substeps=moved.substeps(fit.model.terms, rows[0]))
+
+
+def _open(moved: Simulator, rivals, predicted) -> tuple[np.ndarray, np.ndarray]:
+    """Columns (K, T, n, 3) m, one standard deviation of what either fit left open; and (T,) m^2, what a start as it was seen grows to."""
+    columns = []
+    for one, origin in zip(rivals, predicted, strict=True):
+        values, ways = np.linalg.eigh(np.nan_to_num(one.fit.covariance)) if len(one.fit.z) else (np.zeros(0), np.zeros((0, 0)))
+        widest = np.argsort(values)[::-1][:MODES]
+        steps = SHARE * np.sqrt(np.maximum(values[widest], 0))[:, None] * ways[:, widest].T
+        rows = [one.fit.model.decode(one.fit.z + step) for step in steps]
+        if rows:
+            found = (_free(moved, one.fit, rows) - origin) / SHARE
+            columns.append(found[np.isfinite(found).all((1, 2, 3))])
+    system, noise = moved.replica.system, moved.replica.sightings.noise
+    aside = np.random.default_rng(0).normal(0, noise, system.positions.shape)
+    aside[moved.replica.driven] = 0
+    shaken = Simulator(replace(moved.replica, system=replace(system, positions=system.positions + aside, rest=system.rest)), moved.device)
+    grown = _free(shaken, rivals[0].fit, [rivals[0].fit.values])[0] - predicted[0]
+    spread = (grown**2).sum(-1).mean(-1)
+    return np.concatenate(columns) if columns else np.zeros((0, *predicted.shape[1:])), np.where(np.isfinite(spread), spread, np.inf)
+
+
+def _gap(difference, columns, variance, free) -> tuple[float, np.ndarray]:
+    """D of a ``difference`` (T, n, 3), and what ``columns`` (K, T, n, 3) leave of it; ``variance`` [m^2] of a vector, or (T,) by frame."""
+    frames = slice(1, None)
+    weight = np.broadcast_to(np.sqrt(INDEPENDENT / variance), (len(difference),))[frames, None, None]
+    size = np.sqrt(len(difference[frames]) * len(free))
+    target = (difference[frames][:, free] * weight / size).ravel()
+    if columns is None or not len(columns):
+        return float(np.linalg.norm(target)), difference
+    matrix = (columns[:, frames][:, :, free] * weight / size).reshape(len(columns), -1).T
+    u = np.linalg.solve(matrix.T @ matrix + np.eye(len(columns)), matrix.T @ target)
+    return float(np.sqrt(((target - matrix @ u) ** 2).sum() + u @ u)), difference - np.tensordot(u, columns, 1)
+
+
+def _words(setting, replica, rivals, motion, predicted, columns, variance, left, free, separation) -> str:
+    """What to do, where to look, and what each outcome means."""
+    a, b = rivals
+    said = f"To tell {a.name} from {b.name}: {motion.says}."
+    hands = np.stack([motion.controllers[:, setting.hand == h].mean(1) for h in range(len(setting.centre))], 1)  # (T, H, 3)
+    axes = np.stack([setting.up, setting.face, setting.line])
+    gap = (left @ axes.T)[:, free]
+    spread = np.broadcast_to(variance, (len(left),))[:, None, None] / 3
+    unsure = np.sqrt(spread + ((columns @ axes.T)[:, :, free] ** 2).sum(0))
+    clear = np.where(np.abs(gap) >= VISIBLE, np.abs(gap) / unsure, 0.0)
+    frame, node, axis = np.unravel_index(int(clear.argmax()), clear.shape)
+    if separation < TELLING or not clear.max() > 0:
+        most = 1000 * float(np.linalg.norm(left[:, free], axis=-1).max())
+        return (
+            f"No motion that was tried would tell {a.name} from {b.name}: what either leaves open can close the gap but for "
+            f"{most:.0f} mm at most ({motion.name})."
+        )
+    sigma, node = 1000 * float(unsure[frame, node, axis]), int(free[node])
+    hand = int(np.linalg.norm(hands[0] - replica.nodes[node], axis=1).argmin())
+    there = [float((p[frame, node] - hands[frame, hand]) @ axes[axis]) for p in predicted]
+    first, second, border = (_offset(value, axes[axis], axis == 0) for value in (*there, sum(there) / 2))
+    return (
+        f"{said} Then look at {_place(replica, setting, node)}, {frame / setting.fps:.1f} s after the start: if {a.says}, it is {first} "
+        f"the hand; if {b.says}, {second} it, each within {sigma:.0f} mm. The border is {border} it."
+    )
+
+
+def _offset(metres, axis, upright):
+    if upright:
+        return f"{1000 * abs(metres):.0f} mm {'above' if metres > 0 else 'below'}"
+    way = ", ".join(f"{c:.2f}" for c in np.sign(metres or 1.0) * axis + 0.0)
+    return f"{1000 * abs(metres):.0f} mm towards ({way}) from"
+
+
+def _place(replica, setting, node):
+    """A node in words."""
+    far = np.linalg.norm(replica.nodes[:, None] - setting.centre[None], axis=2).min(1)
+    if far[node] > 0.9 * far.max():
+        return "the point farthest from the hands"
+    at = ", ".join(f"{c:.3f}" for c in replica.nodes[node])
+    return f"the point that was at ({at}) m in frame 0"
