@@ -43,12 +43,25 @@ class Reading:
 
 
 @dataclass(frozen=True)
+class Look:
+    """Where the outcome shows best: how far a node is from a hand along ``axis`` (3,), by either reading [m], give or take ``within``."""
+
+    frame: int
+    node: int
+    hand: int
+    axis: np.ndarray
+    offsets: tuple[float, float]
+    within: float
+
+
+@dataclass(frozen=True)
 class Plan:
     """The motion that tells two readings apart best.
 
-    separation  D of it; telling: whether that is enough
+    separation  D of it; telling: whether that is enough, and eyes can see it
     others      D of every other motion that was looked into, or its bound: no nuisance may widen a gap
     predicted   (2, T, n, 3) m, nodes by the first and the second reading
+    look        where and when, or None where nothing is far enough apart to be seen
     says        what to do, where to look, and what each outcome means
     """
 
@@ -56,11 +69,12 @@ class Plan:
     separation: float
     others: dict[str, float]
     predicted: np.ndarray
+    look: Look | None
     says: str
 
     @property
     def telling(self) -> bool:
-        return self.separation >= TELLING
+        return self.separation >= TELLING and self.look is not None
 
 
 def plan(simulator: Simulator, rivals: Sequence[Reading], *, error: float = 0.0, finest: float = 0.0) -> Plan | None:
@@ -70,18 +84,17 @@ def plan(simulator: Simulator, rivals: Sequence[Reading], *, error: float = 0.0,
     Raises ValueError where nobody holds the body.
     """
     setting = Setting.of(simulator.replica)
-    rows = [[one.fit.values] for one in rivals]
     found = []
     for motion in motions(setting):
         moved = _moving(simulator, motion)
-        predicted = np.concatenate([_free(moved, r.fit, row) for r, row in zip(rivals, rows, strict=True)])
+        predicted = np.concatenate([_free(moved, one.fit, [one.fit.values]) for one in rivals])
         if np.isfinite(predicted).all():
             found.append((motion, moved, predicted))
     if not found:
         return None
     noise = floor_of(simulator.replica, finest) + error**2
     free = np.setdiff1d(np.arange(len(simulator.replica.nodes)), simulator.replica.driven)
-    bounds = [_gap(p[0] - p[1], None, noise, free)[0] for _, _, p in found]
+    bounds = [_gap(p[0] - p[1], p[:0], noise, free) for _, _, p in found]
     order, best, others = np.argsort(bounds)[::-1], None, {found[k][0].name: float(bounds[k]) for k in range(len(found))}
     for k in order[:TRIED]:
         motion, moved, predicted = found[k]
@@ -89,14 +102,15 @@ def plan(simulator: Simulator, rivals: Sequence[Reading], *, error: float = 0.0,
             break  # no nuisance widens a gap
         columns, spread = _open(moved, rivals, predicted)
         variance = noise + spread
-        separation, left = _gap(predicted[0] - predicted[1], columns, variance, free)
+        separation = _gap(predicted[0] - predicted[1], columns, variance, free)
         others[motion.name] = separation
         if best is None or separation > best[0]:
-            best = (separation, motion, predicted, columns, variance, left)
-    separation, motion, predicted, columns, variance, left = best
+            best = (separation, motion, predicted, columns, variance)
+    separation, motion, predicted, columns, variance = best
     others.pop(motion.name)
-    says = _words(setting, simulator.replica, rivals, motion, predicted, columns, variance, left, free, separation)
-    return Plan(motion, separation, others, predicted, says)
+    look = _look(setting, simulator.replica, motion, predicted, columns, variance, free)
+    says = _words(setting, simulator.replica, rivals, motion, look if separation >= TELLING else None)
+    return Plan(motion, separation, others, predicted, look, says)
 
 
 def experiment(inquiry: Inquiry, decision: Decision) -> tuple[str | None, dict | None]:
@@ -182,43 +196,44 @@ def _open(moved: Simulator, rivals, predicted) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(columns) if columns else np.zeros((0, *predicted.shape[1:])), np.where(np.isfinite(spread), spread, np.inf)
 
 
-def _gap(difference, columns, variance, free) -> tuple[float, np.ndarray]:
-    """D of a ``difference`` (T, n, 3), and what ``columns`` (K, T, n, 3) leave of it; ``variance`` [m^2] of a vector, or (T,) by frame."""
-    frames = slice(1, None)
-    weight = np.broadcast_to(np.sqrt(INDEPENDENT / variance), (len(difference),))[frames, None, None]
-    size = np.sqrt(len(difference[frames]) * len(free))
-    target = (difference[frames][:, free] * weight / size).ravel()
-    if columns is None or not len(columns):
-        return float(np.linalg.norm(target)), difference
-    matrix = (columns[:, frames][:, :, free] * weight / size).reshape(len(columns), -1).T
+def _gap(difference, columns, variance, free) -> float:
+    """D of a ``difference`` (T, n, 3) that ``columns`` (K, T, n, 3) may close; ``variance`` [m^2] of a vector, for all or (T,) by frame."""
+    weight = np.broadcast_to(np.sqrt(INDEPENDENT / variance), (len(difference),))[1:, None, None]
+    weight = weight / np.sqrt((len(difference) - 1) * len(free))
+    target = (difference[1:, free] * weight).ravel()
+    matrix = (columns[:, 1:, free] * weight).reshape(len(columns), target.size).T
     u = np.linalg.solve(matrix.T @ matrix + np.eye(len(columns)), matrix.T @ target)
-    return float(np.sqrt(((target - matrix @ u) ** 2).sum() + u @ u)), difference - np.tensordot(u, columns, 1)
+    return float(np.sqrt(((target - matrix @ u) ** 2).sum() + u @ u))
 
 
-def _words(setting, replica, rivals, motion, predicted, columns, variance, left, free, separation) -> str:
-    """What to do, where to look, and what each outcome means."""
-    a, b = rivals
-    said = f"To tell {a.name} from {b.name}: {motion.says}."
+def _look(setting, replica, motion, predicted, columns, variance, free) -> Look | None:
+    """The node, frame and direction in which the readings differ most for how sure they are."""
     hands = np.stack([motion.controllers[:, setting.hand == h].mean(1) for h in range(len(setting.centre))], 1)  # (T, H, 3)
     axes = np.stack([setting.up, setting.face, setting.line])
-    gap = (left @ axes.T)[:, free]
-    spread = np.broadcast_to(variance, (len(left),))[:, None, None] / 3
-    unsure = np.sqrt(spread + ((columns @ axes.T)[:, :, free] ** 2).sum(0))
-    clear = np.where(np.abs(gap) >= VISIBLE, np.abs(gap) / unsure, 0.0)
-    frame, node, axis = np.unravel_index(int(clear.argmax()), clear.shape)
-    if separation < TELLING or not clear.max() > 0:
-        most = 1000 * float(np.linalg.norm(left[:, free], axis=-1).max())
-        return (
-            f"No motion that was tried would tell {a.name} from {b.name}: what either leaves open can close the gap but for "
-            f"{most:.0f} mm at most ({motion.name})."
-        )
-    sigma, node = 1000 * float(unsure[frame, node, axis]), int(free[node])
+    gap = np.abs((predicted[0] - predicted[1]) @ axes.T)[:, free]
+    noise = np.broadcast_to(variance, (len(gap),))[:, None, None] / 3
+    unsure = np.sqrt(noise + ((columns @ axes.T)[:, :, free] ** 2).sum(0))
+    clear = np.where(gap >= VISIBLE, gap / unsure, 0.0)
+    if not clear.max() > 0:
+        return None
+    frame, k, axis = (int(i) for i in np.unravel_index(int(clear.argmax()), clear.shape))
+    node = int(free[k])
     hand = int(np.linalg.norm(hands[0] - replica.nodes[node], axis=1).argmin())
-    there = [float((p[frame, node] - hands[frame, hand]) @ axes[axis]) for p in predicted]
-    first, second, border = (_offset(value, axes[axis], axis == 0) for value in (*there, sum(there) / 2))
+    first, second = (float((p[frame, node] - hands[frame, hand]) @ axes[axis]) for p in predicted)
+    return Look(frame, node, hand, axes[axis], (first, second), float(unsure[frame, k, axis]))
+
+
+def _words(setting, replica, rivals, motion, look) -> str:
+    """What to do, where to look, and what each outcome means; without ``look``, that no motion helps."""
+    a, b = rivals
+    if look is None:
+        return f"None of the motions that were simulated tells {a.name} from {b.name}: what either leaves open would make up for it."
+    upright = np.array_equal(look.axis, setting.up)
+    first, second, border = (_offset(value, look.axis, upright) for value in (*look.offsets, sum(look.offsets) / 2))
     return (
-        f"{said} Then look at {_place(replica, setting, node)}, {frame / setting.fps:.1f} s after the start: if {a.says}, it is {first} "
-        f"the hand; if {b.says}, {second} it, each within {sigma:.0f} mm. The border is {border} it."
+        f"To tell {a.name} from {b.name}: {motion.says}. Then look at {_place(replica, setting, look.node)}, "
+        f"{look.frame / setting.fps:.1f} s after the start: if {a.says}, it is {first} the hand; if {b.says}, {second} it, "
+        f"give or take {1000 * look.within:.0f} mm. The border is {border} it."
     )
 
 
