@@ -14,7 +14,8 @@ Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` be
 
 import warp as wp
 
-from .forward import node_functions, recalling, sighting
+from .finding import lowest
+from .forward import HELD_MASS, node_functions, recalling, sighting
 from .native import barrier
 from .paths import give_path, give_speed, speed
 from .rods_back import make_back_rods
@@ -33,7 +34,7 @@ def make_backward(kit):
     back_press, grown, back_pressed = make_back_skin(kit) if skinned else (None, None, None)
     back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
     get_x, get_v, sum3, sum_axial, sum_strand, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.sum_strand, kit.give
-    node, end, _inertia = node_functions(kit)
+    node, end = node_functions(kit)
     back_move = _back_move(kit)
     back_push = _back_push(kit)
     back_pull = _back_pull(kit)
@@ -180,6 +181,7 @@ def make_backward(kit):
                     if wp.static(colliding):
                         a.x[i] = gx
                         a.met[i] = gv
+                        a.share[i] = gv / (R(wp.max(1, w.hits[k - 1, i])) * w.mass[i])
                     else:
                         back_push(w, a, k - 1, i, frame, step - 1, substeps, dt, gx, gv, p_velocity, p_body, p_observer)
             round += 1
@@ -200,9 +202,11 @@ def _back_move(kit):
     @wp.func
     def back_move(w: World, a: Adjoint, slot: int, i: int, dt: R, gx: vec, gv: vec, p: pm):
         """From the state after the move to position and velocity before it."""
-        v = w.free[slot, i]
+        v = vec()
         if wp.static(colliding):
             v = w.met[slot, i]
+        if wp.static(not colliding):
+            v = w.free[slot, i]
         hx, hv, _dt, gp, _gx, _gv = wp.grad(move_dot)(get_x(w.state, slot * w.nodes + i), v, dt, p, gx, gv)
         if a.wants_table > 0:
             give_move(a.move, i, gp)
@@ -360,9 +364,10 @@ def _back_pull(kit):
 def _back_contacts(kit, back_push):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     pv, pb, po, pc = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["observer"], kit.vectors["contact"]
-    contact, get_x, give, give_contact, lanes = kit.laws.contact, kit.get_x, kit.give, kit.give_all["contact"], kit.lanes
+    contact, get_x, get_v, find, lanes = kit.laws.contact, kit.get_x, kit.get_v, kit.find, kit.lanes
+    give, give_contact = kit.give, kit.give_all["contact"]
     four, sum3, sum4, sum_contact = kit.four, kit.sum3, kit.sum4, kit.sum_contact
-    _node, _end, inertia = node_functions(kit)
+    _note, noted_mass = kit.noting
 
     @wp.func
     def contact_dot(xi: vec, xj: vec, vi: vec, vj: vec, mi: R, mj: R, p: pc, g: vec):
@@ -391,29 +396,29 @@ def _back_contacts(kit, back_push):
         gm = R(0.0)
         gp = pc()
         if i < hi:
-            x = get_x(w.state, slot * w.nodes + i)
-            v = w.free[slot, i]
-            m = inertia(w, i)
-            driven = w.driver[i] >= 0
-            weight = vec()
-            if not driven and w.hits[slot, i] > 0:
-                weight = a.met[i] / (R(w.hits[slot, i]) * m)
-            for j in range(w.near_row[i] + part, w.near_row[i + 1], lanes):
-                o = w.near[j]
-                xo = get_x(w.state, slot * w.nodes + o)
-                vo = w.free[slot, o]
-                met = wp.length(xo - x) < p[0] and wp.dot(xo - x, vo - v) < R(-1.0e-4)
-                if met and not (driven and w.driver[o] >= 0):
-                    g = weight
-                    if w.driver[o] < 0:
-                        g = weight - a.met[o] / (R(w.hits[slot, o]) * w.mass[o])
-                    hx, _hx, hv, _hv, hm, _hm, hp, _hg = wp.grad(contact_dot)(x, xo, v, vo, m, inertia(w, o), p, g)
-                    gx += hx
-                    gv += hv
-                    if not driven:
-                        gm += hm
-                    if not driven and (o > i or w.driver[o] >= 0):
-                        gp += hp
+            base = slot * w.nodes
+            x = get_x(w.flight, base + i)
+            v = get_v(w.flight, base + i)
+            m = noted_mass(w.flight, base + i)
+            driven = m >= R(HELD_MASS)
+            share = a.share[i]
+            last = w.near_row[i + 1]
+            for first in range(w.near_row[i] + part, last, 32 * lanes):
+                found = find(w.flight, base, w.near, first, last, lanes, x, v, p[0])
+                while found != wp.uint32(0):
+                    o = w.near[first + lowest(found) * lanes]
+                    found = found & (found - wp.uint32(1))
+                    xo = get_x(w.flight, base + o)
+                    vo = get_v(w.flight, base + o)
+                    mo = noted_mass(w.flight, base + o)
+                    if not (driven and mo >= R(HELD_MASS)):
+                        hx, _hx, hv, _hv, hm, _hm, hp, _hg = wp.grad(contact_dot)(x, xo, v, vo, m, mo, p, share - a.share[o])
+                        gx += hx
+                        gv += hv
+                        if not driven:
+                            gm += hm
+                        if not driven and (o > i or mo >= R(HELD_MASS)):
+                            gp += hp
         both = sum4(four(gx[0], gx[1], gx[2], gm), lanes)
         gv = sum3(gv, lanes)
         gp = sum_contact(gp, lanes)
@@ -427,7 +432,7 @@ def _back_contacts(kit, back_push):
             mine = a.met[i]
             gm = both[3]
             if w.hits[slot, i] > 0:
-                gm -= wp.dot(mine, w.met[slot, i] - w.free[slot, i]) / w.mass[i]
+                gm -= wp.dot(mine, w.met[slot, i] - get_v(w.flight, slot * w.nodes + i)) / w.mass[i]
             give(a.mass, i, gm)
             give_contact(a.contact, i, gp)
             back_push(w, a, slot, i, frame, step, substeps, dt, a.x[i] + gx, mine + gv, p_velocity, p_body, p_observer)

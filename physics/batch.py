@@ -90,6 +90,8 @@ class Batch:
         self.remembering = bool(self.laws.stage("strand"))
         cuda = self.device.type == "cuda"
         self._device = "cpu" if not cuda else f"cuda:{self.device.index or 0}"
+        self._kept: dict[bytes, torch.Tensor] = {}
+        self.arrays: dict[str, wp.array] | None = None  # Warp's of the constants, once somebody needs them
         self._assemble()
         # (blocks per system, threads per block, lanes per particle); a CPU team is one thread
         self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
@@ -195,10 +197,17 @@ class Batch:
         self.constants["seen"], self.constants["sight"] = self._real(np.concatenate(seen, 1)), self._real(np.concatenate(sight, 1))
 
     def _ints(self, value):
-        return torch.tensor(np.asarray(value), dtype=torch.int32, device=self.device)
+        return torch.from_numpy(np.array(value, np.int32)).to(self.device)
+
+    def kept_ints(self, value: np.ndarray) -> torch.Tensor:
+        """``value`` on the device. The few arrays that launches ask for are kept there: copying one waits for all launches before it."""
+        key = value.tobytes()
+        if key not in self._kept:
+            self._kept[key] = self._ints(value)
+        return self._kept[key]
 
     def _real(self, value):
-        return torch.tensor(np.asarray(value), dtype=self.dtype, device=self.device)
+        return torch.from_numpy(np.array(value, np.float64 if self.dtype is torch.float64 else np.float32)).to(self.device)
 
     def column(self, name: str) -> int:
         """The parameter table's column called ``name``."""
@@ -287,7 +296,7 @@ class Batch:
         if (self.substeps != substeps).any():
             raise ValueError("gradients need the same number of substeps in every system of the batch")
         longest = substeps if self.colliding else max(1, frames * substeps)
-        kept = self.node_count * (18 if self.colliding else 14)
+        kept = self.node_count * (23 if self.colliding else 14)
         if self.hinged:
             kept += 3 * len(self.inputs.directors)
         if self.remembering:
@@ -313,7 +322,7 @@ class Batch:
     def _launch(self, kernel, carriers, stretch, tail):
         blocks, threads, _ = self._team
         carriers[0].tensors["counters"].zero_()
-        carriers[0].set(count=self._ints(stretch.count))
+        carriers[0].set(count=self.kept_ints(stretch.count))
 
         def go(first, last):
             head = [c.struct for c in carriers] + [int(first), blocks]

@@ -2,18 +2,19 @@
 
 import warp as wp
 
+from .finding import lowest
 from .native import barrier
 from .paths import along, speed
 from .rods import make_rods
 from .skin import make_skin
 
-__all__ = ["make_forward", "node_functions", "recalling", "sighting"]
+__all__ = ["HELD_MASS", "make_forward", "node_functions", "recalling", "sighting"]
 
-HELD_MASS = 1.0e30  # kg, stands for infinity
+HELD_MASS = 1.0e30  # kg, of a driven node in a contact: it yields to nobody
 
 
 def node_functions(kit):
-    """Functions that tell a thread what it works on: (node, end, inertia)."""
+    """Functions that tell a thread what it works on: (node, end)."""
     R, World = kit.R, kit.World
 
     @wp.func
@@ -32,14 +33,7 @@ def node_functions(kit):
             return 0, R(1.0), R(0.0)
         return w.other[j], w.rest[j], w.stiffness[j]
 
-    @wp.func
-    def inertia(w: World, i: int):
-        """Mass of node ``i`` in a contact: a driven one yields to nobody."""
-        if w.driver[i] >= 0:
-            return R(HELD_MASS)
-        return w.mass[i]
-
-    return node, end, inertia
+    return node, end
 
 
 def sighting(kit):
@@ -84,8 +78,9 @@ def make_forward(kit):
     hinged, skinned = kit.hinged, kit.skinned
     bulk, swollen, press, pressed = make_skin(kit) if skinned else (None, None, None, None)
     bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
-    get_x, get_v, put, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.sum3, kit.sum4, kit.four
-    node, end, inertia = node_functions(kit)
+    get_x, get_v, put, find, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.find, kit.sum3, kit.sum4, kit.four
+    node, end = node_functions(kit)
+    note, noted_mass = kit.noting
     sighted = sighting(kit)
     strand_of = recalling(kit)
 
@@ -121,14 +116,18 @@ def make_forward(kit):
         """Impulses that particle ``i`` gets in a lane's part of its contacts, and in the fourth place how many they are."""
         total = vec()
         count = int(0)
-        x = get_x(w.state, slot * w.nodes + i)
-        v = w.free[slot, i]
-        m = w.mass[i]
-        for j in range(w.near_row[i] + part, w.near_row[i + 1], lanes):
-            o = w.near[j]
-            apart = get_x(w.state, slot * w.nodes + o) - x
-            if wp.length(apart) < p[0] and wp.dot(apart, w.free[slot, o] - v) < R(-1.0e-4):
-                total += contact(x, get_x(w.state, slot * w.nodes + o), v, w.free[slot, o], m, inertia(w, o), p)
+        base = slot * w.nodes
+        x = get_x(w.flight, base + i)
+        v = get_v(w.flight, base + i)
+        m = noted_mass(w.flight, base + i)
+        last = w.near_row[i + 1]
+        # first all tests, then the few that meet: threads side by side would wait for each other's impulses at every candidate
+        for first in range(w.near_row[i] + part, last, 32 * lanes):
+            found = find(w.flight, base, w.near, first, last, lanes, x, v, p[0])
+            while found != wp.uint32(0):
+                o = w.near[first + lowest(found) * lanes]
+                found = found & (found - wp.uint32(1))
+                total += contact(x, get_x(w.flight, base + o), v, get_v(w.flight, base + o), m, noted_mass(w.flight, base + o), p)
                 count += 1
         return four(total[0], total[1], total[2], R(count))
 
@@ -216,8 +215,9 @@ def make_forward(kit):
                     continue
                 if driver >= 0:
                     follow(w, i, there, frame, step + 1, substeps, dt, share)
-                    if wp.static(colliding) or record:
-                        w.free[here, i] = v
+                    if wp.static(colliding):
+                        put(w.flight, here * w.nodes + i, x, v)
+                        note(w.flight, here * w.nodes + i, R(HELD_MASS))
                 else:
                     if wp.static(hinged):
                         f += bent(w, i)
@@ -232,7 +232,10 @@ def make_forward(kit):
                     if record:
                         w.pushed[here, i] = v
                     v = velocity(v, dt, p_velocity)
-                    if wp.static(colliding) or record:
+                    if wp.static(colliding):
+                        put(w.flight, here * w.nodes + i, x, v)
+                        note(w.flight, here * w.nodes + i, m)
+                    elif record:
                         w.free[here, i] = v
                     if wp.static(not colliding):
                         x2, v2 = move(x, v, dt, p_move)
@@ -250,9 +253,9 @@ def make_forward(kit):
                         met = contacts(w, here, i, lane % lanes, p_contact)
                     met = sum4(met, lanes)
                     if free and lane % lanes == 0:
-                        v = w.free[here, i]
+                        v = get_v(w.flight, here * w.nodes + i)
                         if met[3] > R(0.0):
-                            v = v + vec(met[0], met[1], met[2]) / (met[3] * w.mass[i])
+                            v = v + vec(met[0], met[1], met[2]) / (met[3] * noted_mass(w.flight, here * w.nodes + i))
                         w.met[here, i] = v
                         w.hits[here, i] = int(met[3])
                         x2, v2 = move(get_x(w.state, here * w.nodes + i), v, dt, p_move)

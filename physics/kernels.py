@@ -21,6 +21,7 @@ from typing import Any
 
 import warp as wp
 
+from .finding import finder, noting
 from .laws import Laws
 from .native import WARP, adder, lane_sum, state_access
 from .terms.base import STAGED
@@ -108,6 +109,8 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         put=put,
         one=one,
         sum1=lane_sum(one, 1),
+        find=finder(R, vec),
+        noting=noting(R),
         sum3=lane_sum(vec, 3),
         sum4=lane_sum(four, 4),
         sum_contact=lane_sum(vectors["contact"], laws.width("contact")),
@@ -162,7 +165,8 @@ def _structs(R, vec, vectors):
         memory: wp.array2d(dtype=pq)  # (slots, ends) what springs remember at the start of the substep (only with strand terms)
         nodes: int
         pushed: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after the forces; kept only to go back
-        free: wp.array2d(dtype=vec)  # (slots, nodes) m/s, before contacts; kept only for contacts and to go back
+        free: wp.array2d(dtype=vec)  # (slots, nodes) m/s, before the move; kept only to go back, and without contacts
+        flight: wp.array(dtype=R)  # (slots * nodes * 8,) as states are: x, mass, v before contacts (only with contacts)
         met: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after contacts (only with contacts)
         hits: wp.array2d(dtype=wp.int32)  # (slots, nodes) contacts in the substep
         force: wp.array(dtype=vec)  # (nodes,) reactions left by lower ends
@@ -200,6 +204,7 @@ def _structs(R, vec, vectors):
         x: wp.array(dtype=vec)  # (nodes,) of the state; in: at the stretch's end, out: at its start
         v: wp.array(dtype=vec)
         met: wp.array(dtype=vec)  # of the velocity after contacts
+        share: wp.array(dtype=vec)  # and of each of the impulses that it has the mean of; 0 at driven nodes
         force: wp.array2d(dtype=vec)  # (2, nodes) of the force, for even and odd substeps; 0 at driven nodes
         out: wp.array2d(dtype=vec)  # (frames, nodes) given
         rest: wp.array(dtype=R)  # (springs,)

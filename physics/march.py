@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 import warp as wp
 from torch.autograd.function import once_differentiable
 
-from .contacts import candidates
+from .contacts import seek
 from .terms.base import STAGED
 
 __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
@@ -65,24 +66,32 @@ class Stretch:
 
 
 class Carrier:
-    """A kernel struct over tensors that stay alive with it."""
+    """A kernel struct over tensors, or Warp's arrays, that stay alive with it."""
 
     def __init__(self, kernels, struct, tensors):
         self.kernels, self.struct, self.tensors = kernels, struct(), {}
         self.set(**tensors)
 
     def set(self, **tensors):
-        vectors = {"x", "v", "pushed", "free", "met", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {"directors", "bent", "turned", "face", "faced"}
         for name, tensor in tensors.items():
-            kind = self.kernels.vectors.get(name) or (self.kernels.vec if name in vectors else self.kernels.real)
-            dtype = wp.int32 if tensor.dtype == torch.int32 else kind
             self.tensors[name] = tensor
-            if tensor.numel():
-                array = wp.from_torch(tensor, dtype=dtype)
-            else:  # Warp cannot wrap an empty tensor
-                array = wp.empty((0,) * (tensor.ndim - (kind is not self.kernels.real)), dtype=dtype, device=str(tensor.device))
-            setattr(self.struct, name, array)
+            setattr(self.struct, name, tensor if isinstance(tensor, wp.array) else self.array(self.kernels, name, tensor))
+
+    @staticmethod
+    def array(kernels, name, tensor):
+        """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
+        vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
+        vectors |= {"directors", "bent", "turned", "face", "faced"}
+        kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
+        dtype = wp.int32 if tensor.dtype == torch.int32 else kind
+        if tensor.numel():
+            return wp.from_torch(tensor, dtype=dtype)
+        return _nothing(tensor.ndim - (kind is not kernels.real), dtype, str(tensor.device))  # Warp cannot wrap an empty tensor
+
+
+@cache
+def _nothing(dimensions, dtype, device):
+    return wp.empty((0,) * dimensions, dtype=dtype, device=device)
 
 
 class World(Carrier):
@@ -108,17 +117,20 @@ class World(Carrier):
         met = slots if batch.colliding else 1
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
         near_row, near = near or (counters, counters)
+        if batch.arrays is None:  # wrapping takes as long as a small launch, and these never change
+            batch.arrays = {name: self.array(batch.kernels, name, tensor) for name, tensor in batch.constants.items()}
         super().__init__(
             batch.kernels,
             batch.kernels.World,
             dict(
-                **batch.constants,
+                **batch.arrays,
                 **{k: values[k][ends] for k in ("rest", "stiffness")},
                 **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure")},
                 **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
                 **dict(face=empty(batch.facet_starts[-1], 3), swelling=empty(slots, len(batch.systems)), parts=batch.parts()),
                 **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
-                **dict(free=empty(max(kept, met), n, 3), met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
+                **dict(free=empty(1 if batch.colliding else kept, n, 3), flight=empty((slots if batch.colliding else 0) * n * 8)),
+                **dict(met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
         )
@@ -127,7 +139,7 @@ class World(Carrier):
     def end(self, stretch: Stretch):
         """(x, v, memory, directors) at the end of a stretch."""
         batch = self._batch
-        slot = torch.as_tensor(stretch.count % self.slots, device=batch.device)
+        slot = batch.kept_ints(stretch.count % self.slots).long()
         node = torch.arange(batch.node_count, device=batch.device)
         end = self.states[slot[batch.system_of], node]
         memory = self.memory.clone()
@@ -163,7 +175,7 @@ class Adjoint(Carrier):
             batch.kernels,
             batch.kernels.Adjoint,
             dict(
-                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), memory=memories, out=out, met=zeros(3)),
+                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), memory=memories, out=out, met=zeros(3), share=zeros(3)),
                 **dict(force=torch.stack([zeros(3)] * 2), links=zeros(), directors=directors.contiguous().clone()),
                 **stages,
                 **inputs,
@@ -212,9 +224,11 @@ class March(torch.autograd.Function):
         ctx.starts, ctx.world, near = [], None, None
         keep = back and len(stretches) == 1
         for stretch in stretches:
-            if batch.colliding and stretch.begin == 0:
-                near = candidates(batch, state[0], values["table"])
-            world = World(batch, values, *state, near, stretch.history if keep else 2, out[stretch.frame :])
+            sought = seek(batch, state[0], values["table"]) if batch.colliding and stretch.begin == 0 else None
+            world = World(batch, values, *state, near, stretch.history if keep else 2, out[stretch.frame :])  # meanwhile
+            if sought:
+                near = sought()
+                world.set(near_row=near[0], near=near[1])
             ctx.starts.append((*state, near))
             batch.forward(world, frame, stretch)
             state = world.end(stretch)

@@ -90,7 +90,7 @@ def _hits(queries, points, radius, count, *, drop_first=False):
     from scipy.spatial import cKDTree
 
     count = min(int(count), len(points))
-    distance, index = cKDTree(points).query(queries, k=np.arange(1, count + 1), distance_upper_bound=radius)
+    distance, index = cKDTree(points).query(queries, k=np.arange(1, count + 1), distance_upper_bound=radius, workers=-1)
     if drop_first:
         distance, index = distance[:, 1:], index[:, 1:]
     found = np.isfinite(distance)
