@@ -51,7 +51,7 @@ def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu"
         )
     done = {c.name: json.loads((out / c.name / "diagnosis.json").read_text()) for c in cases if (out / c.name / "diagnosis.json").exists()}
     todo = [(c, out, preset, device) for c in cases if c.name not in done]
-    for (case, *_), found in each(answer, todo, jobs=jobs):
+    for (case, *_), found in each(answer, todo, jobs=jobs, device=device):
         done[case.name] = found
         progress(f"{case.name}: {found['verdict']} {found.get('effect') or ''}")
     return dict(sorted(done.items()))

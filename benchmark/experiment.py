@@ -11,9 +11,11 @@ from .ablations import ABLATIONS, Ablation, with_clips
 from .cache import Cache
 from .opening import Opened
 from .plan import TASKS, Fit, plan
+from .processes import cards
 from .progress import Bar
 from .results import Results
 from .runner import Runner, Settings
+from .spread import spread
 
 __all__ = ["Experiment"]
 
@@ -69,8 +71,11 @@ class Experiment:
 
     def run(self, work: Work, *, cache: Cache, budget: str, device: str) -> Results:
         """What comes of ``work``. Raises as ``Runner.run`` does."""
-        settings, rows = self.settings(budget, device), []
+        settings, devices, rows = self.settings(budget, device), cards(device), []
         for found, fits in work:
             with Bar(" ".join(filter(None, (found.collection.name, self.name)))) as bar:
-                rows += Runner(found, settings, cache).run(fits, progress=bar)
+                if len(devices) > 1 and found.path:
+                    rows += spread(found, settings, cache, fits, devices, progress=bar)
+                else:
+                    rows += Runner(found, settings, cache).run(fits, progress=bar)
         return Results.of(rows, self.metrics, [found.collection for found, _ in work]).beside(self.published)

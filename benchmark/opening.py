@@ -26,12 +26,16 @@ LEVELS = 4  # a recording's name may be so deep below its folder
 
 @dataclass(frozen=True)
 class Opened:
-    """A collection, ``key`` of its files' listing (None where it has no files), and the reader's ``note`` on what it used of them."""
+    """A collection, ``key`` of its files' listing (None where it has no files), and the reader's ``note`` on what it used of them.
+
+    ``path`` is where another process finds it, "" where none can.
+    """
 
     collection: Collection
     key: str | None = None
     note: str = ""
     split: str = "published"
+    path: str = ""
 
 
 def folder_of(path: str) -> Path:
@@ -81,7 +85,7 @@ def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:
         published={tuple(figure): value for *figure, value in known["published"]},
         citation=known["citation"],
     )
-    return Opened(remembered, key, known["note"], split)
+    return Opened(remembered, key, known["note"], split, str(path))
 
 
 def _description(collection: Collection) -> dict:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from pathlib import Path
 
 from ...datasets.collection import nearest
 from ...datasets.concealed.make import Folder
 from ...datasets.concealed.seal import read_json, write_json
+from ..processes import cards, workers
 from ..provenance import commit
 from .book import Answers, check_recordings
 from .opening import opened_labels
@@ -22,13 +22,16 @@ from .rivals.base import FAILED, Given, sensible
 __all__ = ["answer_case", "answer_set", "each", "take_answers"]
 
 
-def each(function: Callable, items: Sequence[tuple], *, jobs: int = 1):
-    """(item, what ``function(*item)`` returned) as they are done, in ``jobs`` fresh processes; in this one where that is 1."""
+def each(function: Callable, items: Sequence[tuple], *, jobs: int = 1, device: str = "cpu"):
+    """(item, what ``function(*item)`` returned) as they are done, in ``jobs`` fresh processes; in this one where that is 1.
+
+    On ``device`` "cuda" the processes share out the graphics cards.
+    """
     if jobs == 1:
         for item in items:
             yield item, function(*item)
         return
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with workers(jobs, cards(device)) as pool:
         running = {pool.submit(function, *item): item for item in items}
         for future in as_completed(running):
             yield running[future], future.result()
@@ -83,7 +86,7 @@ def answer_set(
     direct = [n for n in names if not known[n].derived]
     missing = {case: tuple(n for n in direct if not books[n].file(case).exists()) for case in cases}
     todo = [(folder.cases / case, wanted, preset, device, labels.get(case)) for case, wanted in missing.items() if wanted]
-    for done, (item, found) in enumerate(each(answer_case, todo, jobs=jobs), 1):
+    for done, (item, found) in enumerate(each(answer_case, todo, jobs=jobs, device=device), 1):
         case = item[0].name
         for name, said in found.items():
             write_json(books[name].file(case), said | {"by": about})
