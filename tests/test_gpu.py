@@ -23,7 +23,7 @@ def systems(count, collide, remember=False):
     from twinbench.physics.terms.plasticity import Plasticity
     from twinbench.physics.terms.viscoelastic import Viscoelastic
 
-    made = [hinged(block(150 + 40 * k, 10, frames=4, seed=k)) for k in range(count)]
+    made = [skinned(hinged(block(150 + 40 * k, 10, frames=4, seed=k))) for k in range(count)]
     if collide:
         made = [replace(s, terms=(*s.terms, SelfCollision({"collision_dist": 0.006}))) for s in made]
     if remember:
@@ -44,6 +44,17 @@ def hinged(body):
     laws = (Bending({"bending_stiffness": 1e-4}), BendingDamping({"bending_damping": 1e-7}), Torsion({"torsion_stiffness": 1e-4}))
     own = dict.fromkeys(("natural", "span", "flexure"))  # of these hinges, not of the body"s none
     return replace(body, hinges=hinges, chains=[chain], terms=(*body.terms, *laws), **own)
+
+
+def skinned(body):
+    """``body`` with a closed skin, which air resists, and what is inside as well."""
+    from twinbench.physics.facets import solid_facets
+    from twinbench.physics.terms import PlateDrag, Pressure
+
+    facets = solid_facets(body.positions, radius=2 * np.linalg.norm(np.ptp(body.positions, axis=0)) / len(body.positions) ** (1 / 3))
+    return replace(
+        body, facets=facets, terms=(*body.terms, PlateDrag({"plate_drag": 1e6}), Pressure({"pressure": 1e7, "pressure_fill": 1.2}))
+    )
 
 
 def march(made, device, *, double, team=None):
