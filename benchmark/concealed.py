@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnosis.verdict import CONTEXT, FEATURES, NONE, OTHER, SEEN, Calibration, Reading, decide, scores, shown, verdict_of
+from ..diagnosis.verdict import CONTEXT, FEATURES, NONE, OTHER, SEEN, SHOWS, Calibration, Reading, decide, scores, shown, verdict_of
 from .challenge.answering import each
 from .challenge.truths import Row
 
@@ -23,6 +23,7 @@ RIDGE = 0.01  # of the shared weights; effects' own biases are few cases each an
 RIDGE_BIAS = 0.02
 SURE = 30.0  # log odds, at most, for each unit of what the tracks say by themselves: it parts all cases there are, and some day it will not
 FOLDS = 8
+POOLED = 4.0  # cases without an effect that what all terms show together counts for, beside a term's own
 TELLS = 0.15  # log of the share of error left by a reading from which on it explains something
 
 
@@ -136,6 +137,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     terms = sorted({r.key for found, _, _ in rows for r in found})
     features = (*FEATURES, *SEEN)
     around = list(CONTEXT)
+    null = _null(rows)
     start = np.zeros(len(features) + len(terms) + 2 * (len(around) + 1))
 
     def unpack(v):
@@ -148,7 +150,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
             part = v[k * (len(around) + 1) : (k + 1) * (len(around) + 1)]
             biases[name] = part[0]
             context[name] = dict(zip(around, part[1:], strict=True))
-        return Calibration(weights, biases, context)
+        return Calibration(weights, biases, context, null)
 
     # Scores are affine in v: their slopes are found by asking for each unit vector once.
     offset = _scores(rows, unpack(start))
@@ -175,7 +177,32 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     bounds += [(None, None)] * (len(start) - len(features))
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
-    return Calibration({k: float(v) for k, v in c.weights.items()}, {k: float(v) for k, v in c.biases.items()}, c.context, source=source)
+    weights, biases = ({k: float(v) for k, v in of.items()} for of in (c.weights, c.biases))
+    return Calibration(weights, biases, c.context, null, source=source)
+
+
+def _null(rows) -> dict[str, dict[str, tuple[float, float]]]:
+    """By term, and over all by "": mean and standard deviation of what readings show where nothing is missing.
+
+    Each term's are drawn to those of all, as if it had been seen ``POOLED`` times more.
+    """
+    seen: dict[str, list] = {}
+    for found, _, true in rows:
+        for r in found:
+            if r.term and true == NONE and all(name in r.features for name in SHOWS):
+                seen.setdefault(r.key, []).append([r.features[name] for name in SHOWS])
+    if not seen:
+        return {}
+    every = np.concatenate([np.array(v) for v in seen.values()])
+    middle, width = every.mean(0), np.maximum(every.std(0), 1e-3)
+    out = {"": {name: (float(m), float(w)) for name, m, w in zip(SHOWS, middle, width, strict=True)}}
+    for key, values in seen.items():
+        count, mean = len(values), np.mean(values, 0)
+        mean, square = (
+            (count * own + POOLED * common) / (count + POOLED) for own, common in ((mean, middle), (np.var(values, 0), width**2))
+        )
+        out[key] = {name: (float(m), float(np.sqrt(v))) for name, m, v in zip(SHOWS, mean, square, strict=True)}
+    return out
 
 
 def _scores(rows, c: Calibration) -> np.ndarray:

@@ -18,7 +18,7 @@ from .model import Knob, Model, Simulator
 from .parts import Part, nobody
 from .refit import Verdictable, evaluate, foresighted, refit
 from .replica import Replica, build_replica
-from .screen import Score, screen
+from .screen import Score, confirm, screen
 
 __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 
@@ -173,6 +173,7 @@ def inquire(
 
     best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
     chosen = sorted(best, key=promise, reverse=True)[: preset.refits]
+    chosen = confirm(wide, base, chosen, parts[2:])
     progress(f"refitting {', '.join(s.hypothesis.effect for s in chosen)}")
     elsewhere = {k: _elsewhere(score, scores, replicas[0].spacing) for k, score in enumerate(chosen)}
     rivals = {k: score for k, score in elsewhere.items() if score is not None}

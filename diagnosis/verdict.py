@@ -28,7 +28,9 @@ LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays 
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 NONE, OTHER = "adequate", "unknown"
-FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra")
+SHOWS = ("shows_train", "shows_heldout", "shows_transfer")  # told beside what the same term shows where nothing is missing
+FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra", *SHOWS)
+STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
 SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen")  # without a simulation
 CONTEXT = ("learned", "best", "floor", "unforeseen", "chain", "sheet")
 
@@ -57,6 +59,7 @@ class Calibration:
     weights   of ``FEATURES``, the same for all effects
     biases    by term: how readily it explains what is not it; those of "adequate" and "unknown" too
     context   by "adequate" and "unknown", weights of ``CONTEXT``
+    null      by term, and by "" for a term that it never met: mean and standard deviation of ``SHOWS`` where nothing is missing
     named     least probability of a name; ``both`` of the two best together; ``sure`` of "adequate" and "unknown"
     source    what it was fitted on
     """
@@ -64,6 +67,7 @@ class Calibration:
     weights: dict[str, float]
     biases: dict[str, float]
     context: dict[str, dict[str, float]]
+    null: dict[str, dict[str, tuple[float, float]]] = field(default_factory=dict)
     named: float = 0.5
     both: float = 0.7
     sure: float = 0.5
@@ -71,6 +75,19 @@ class Calibration:
 
     def to_json(self) -> str:
         return json.dumps(asdict(self), indent=1)
+
+    def told(self, reading: Reading) -> dict[str, float]:
+        """Its features as the weights take them: what it shows in standard deviations from what its term shows where nothing is missing.
+
+        A twin that was fitted elsewhere has other chances to show something; there that says nothing.
+        """
+        null = self.null.get(reading.key, self.null.get("", {}))
+        out = dict(reading.features)
+        for name in SHOWS:
+            mean, deviation = null.get(name, (0.0, 0.0))
+            usable = reading.term and deviation > 0 and name in out and "settled" not in out
+            out[name] = float(np.clip((out[name] - mean) / deviation, *STRANGE)) if usable else 0.0
+        return out
 
 
 @dataclass(frozen=True)
@@ -122,7 +139,15 @@ def _features(refit: Refit, transfer):
         "free_transfer": float(mean([left(refit.gain(t, "free")) for t in transfer])) if transfer else 0.0,
         "kept": float(np.log(max(refit.score.kept, 1e-3))),
         "extra": float(len(h.knobs)),
+        "shows_train": squeezed(refit.score.shows["train"]),
+        "shows_heldout": squeezed(refit.score.shows["heldout"]),
+        "shows_transfer": float(mean([squeezed(refit.score.shows[t]) for t in transfer])) if transfer else 0.0,
     }
+
+
+def squeezed(size: float) -> float:
+    """log(1 + |size|) with its sign: from linear for small to logarithmic for large ones."""
+    return float(np.copysign(np.log1p(abs(size)), size))
 
 
 def _worth(features: Mapping[str, float]) -> float:
@@ -170,7 +195,7 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     doubt = min((0.0, *(b for key, b in c.biases.items() if key not in (NONE, OTHER))))
     for reading in found:
         names.append(reading.effect)
-        told = sum(c.weights.get(k, 0.0) * v for k, v in reading.features.items())
+        told = sum(c.weights.get(k, 0.0) * v for k, v in c.told(reading).items())
         value = c.biases.get(reading.key, doubt) + told * (SHARPER if "settled" in reading.features else 1.0)
         value += SETTLED * reading.features.get("settled", 0.0)
         values.append(value)
