@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from .fit import INDEPENDENT, Fit, floor_of
 from .inquiry import Inquiry
 from .model import Simulator
 from .motions import Motion, Setting, motions
+from .parts import MARGIN
 from .refit import Verdictable
 from .verdict import Decision
 
@@ -84,10 +86,11 @@ def plan(simulator: Simulator, rivals: Sequence[Reading], *, error: float = 0.0,
     Raises ValueError where nobody holds the body.
     """
     setting = Setting.of(simulator.replica)
+    steps = [ceil(MARGIN * simulator.substeps(one.fit.model.terms, one.fit.values)) for one in rivals]
     found = []
     for motion in motions(setting):
         moved = _moving(simulator, motion)
-        predicted = np.concatenate([_free(moved, one.fit, [one.fit.values]) for one in rivals])
+        predicted = np.concatenate([_free(moved, one.fit, [one.fit.values], n) for one, n in zip(rivals, steps, strict=True)])
         if np.isfinite(predicted).all():
             found.append((motion, moved, predicted))
     if not found:
@@ -100,7 +103,7 @@ def plan(simulator: Simulator, rivals: Sequence[Reading], *, error: float = 0.0,
         motion, moved, predicted = found[k]
         if best is not None and bounds[k] <= best[0]:
             break  # no nuisance widens a gap
-        columns, spread = _open(moved, rivals, predicted)
+        columns, spread = _open(moved, rivals, predicted, steps)
         variance = noise + spread
         separation = _gap(predicted[0] - predicted[1], columns, variance, free)
         others[motion.name] = separation
@@ -170,30 +173,31 @@ def _moving(simulator: Simulator, motion: Motion) -> Simulator:
     return Simulator(replace(simulator.replica, system=body), device=simulator.device, double=simulator.double)
 
 
-def _free(moved: Simulator, fit: Fit, rows) -> np.ndarray:
+def _free(moved: Simulator, fit: Fit, rows, substeps: int) -> np.ndarray:
     """(B, T, n, 3) free runs of a fit's model with ``rows`` of values."""
     rows = [{**row, "observer_bandwidth": 0.0} for row in rows]
-    return moved.run(fit.model.terms, rows, len(moved.replica.system.controllers), substeps=moved.substeps(fit.model.terms, rows[0]))
+    return moved.run(fit.model.terms, rows, len(moved.replica.system.controllers), substeps=substeps)
 
 
-def _open(moved: Simulator, rivals, predicted) -> tuple[np.ndarray, np.ndarray]:
+def _open(moved: Simulator, rivals, predicted, substeps) -> tuple[np.ndarray, np.ndarray]:
     """Columns (K, T, n, 3) m, one standard deviation of what either fit left open; and (T,) m^2, what a start as it was seen grows to."""
-    columns = []
-    for one, origin in zip(rivals, predicted, strict=True):
-        values, ways = np.linalg.eigh(np.nan_to_num(one.fit.covariance)) if len(one.fit.z) else (np.zeros(0), np.zeros((0, 0)))
+    columns = [predicted[:0]]
+    for one, origin, n in zip(rivals, predicted, substeps, strict=True):
+        if not len(one.fit.z):
+            continue
+        values, ways = np.linalg.eigh(np.nan_to_num(one.fit.covariance))
         widest = np.argsort(values)[::-1][:MODES]
-        steps = SHARE * np.sqrt(np.maximum(values[widest], 0))[:, None] * ways[:, widest].T
-        rows = [one.fit.model.decode(one.fit.z + step) for step in steps]
-        if rows:
-            found = (_free(moved, one.fit, rows) - origin) / SHARE
-            columns.append(found[np.isfinite(found).all((1, 2, 3))])
+        turns = SHARE * np.sqrt(np.maximum(values[widest], 0))[:, None] * ways[:, widest].T
+        found = (_free(moved, one.fit, [one.fit.model.decode(one.fit.z + turn) for turn in turns], n) - origin) / SHARE
+        columns.append(found[np.isfinite(found).all((1, 2, 3))])
     system, noise = moved.replica.system, moved.replica.sightings.noise
     aside = np.random.default_rng(0).normal(0, noise, system.positions.shape)
     aside[moved.replica.driven] = 0
-    shaken = Simulator(replace(moved.replica, system=replace(system, positions=system.positions + aside, rest=system.rest)), moved.device)
-    grown = _free(shaken, rivals[0].fit, [rivals[0].fit.values])[0] - predicted[0]
+    shaken = replace(moved.replica, system=replace(system, positions=system.positions + aside))
+    moved = Simulator(shaken, device=moved.device, double=moved.double)
+    grown = _free(moved, rivals[0].fit, [rivals[0].fit.values], substeps[0])[0] - predicted[0]
     spread = (grown**2).sum(-1).mean(-1)
-    return np.concatenate(columns) if columns else np.zeros((0, *predicted.shape[1:])), np.where(np.isfinite(spread), spread, np.inf)
+    return np.concatenate(columns), np.where(np.isfinite(spread), spread, np.inf)
 
 
 def _gap(difference, columns, variance, free) -> float:
