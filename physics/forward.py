@@ -5,6 +5,7 @@ import warp as wp
 from .finding import lowest
 from .native import barrier
 from .paths import along, speed
+from .quads import QUAD
 from .rods import make_rods
 from .skin import make_skin
 
@@ -81,6 +82,8 @@ def make_forward(kit):
     get_x, get_v, put, find, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.find, kit.sum3, kit.sum4, kit.four
     node, end = node_functions(kit)
     note, noted_mass = kit.noting
+    others, stretched, pushed, quad = kit.quads or (None, None, None, four)
+    by_fours = kit.quads is not None
     sighted = sighting(kit)
     strand_of = recalling(kit)
 
@@ -201,11 +204,21 @@ def make_forward(kit):
                     if wp.static(half):
                         f = w.force[i]
                         w.force[i] = vec()
-                        for j in range(first, last):
-                            o = w.other[j]
-                            g = pull(w, here, there, i, j, o, w.rest[j], w.stiffness[j], x, v, t, dt, p_axial, p_strand)
-                            f += g
-                            w.force[o] = w.force[o] - g
+                        if wp.static(by_fours):
+                            for j in range(first, last, QUAD):
+                                o4 = others(w.other, i, j, last)
+                                along4 = stretched(w.state, here * w.nodes, o4, x, v)
+                                tension4 = quad()
+                                for c in range(QUAD):
+                                    e = wp.min(j + c, last - 1)
+                                    tension4[c] = axial(along4[c], along4[QUAD + c], w.rest[e], w.stiffness[e], p_axial)
+                                f = pushed(w.force, o4, along4, tension4, f)
+                        else:
+                            for j in range(first, last):
+                                o = w.other[j]
+                                g = pull(w, here, there, i, j, o, w.rest[j], w.stiffness[j], x, v, t, dt, p_axial, p_strand)
+                                f += g
+                                w.force[o] = w.force[o] - g
                     elif first < last and (driver < 0 or wp.static(remembering)):  # at a driven node only for the memories
                         f = pull(w, here, there, i, first, o, rest, stiffness, x, v, t, dt, p_axial, p_strand)
                         for j in range(first + lanes, last, lanes):

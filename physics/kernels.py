@@ -24,6 +24,7 @@ import warp as wp
 from .finding import finder, noting
 from .laws import Laws
 from .native import WARP, adder, lane_sum, state_access
+from .quads import quads
 from .terms.base import STAGED
 
 __all__ = ["Kernels", "build"]
@@ -56,6 +57,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
     _init()
     kit = _kit(laws, wp.float64 if double else wp.float32)
     kit.half, kit.lanes, kit.warp = half, lanes, min(threads, WARP)
+    kit.quads = quads(kit.R, kit.vec) if half and not kit.remembering else None
     # approximate division and square root (2 units in the last place) are a GPU's fast path; float64 is for checking and stays exact
     launch = (threads, 1) if threads > 1 else None
     kit.kernel = wp.kernel(module="unique", enable_backward=False, launch_bounds=launch, module_options={"fast_math": not double})
