@@ -19,7 +19,6 @@ SECONDS = 2.0  # of a cable's recording that is diagnosed, and of each that its 
 FITTED = 3  # recordings that a cable's twin is fitted on
 TILT = 20.0  # degrees by which gravity is misreported
 BEAM = 1070 * 0.03 * 0.03 * 0.1 * 1000  # g, the softbeam's own mass from its density and size (Dubied et al.)
-LOAD = 52.0  # g on the loaded beam's tip
 
 
 @dataclass(frozen=True)
@@ -55,9 +54,10 @@ def hand(data: Path) -> Iterator[Told]:
 def weight(data: Path) -> Iterator[Told]:
     """A silicone cantilever under its own weight, and with a load on its tip, of which the twin is told nothing."""
     collection = open_collection(str(data / "softbeam"))
-    bare, loaded = (collection.load(next(n for n in collection.scenarios if mark in n)) for mark in ("gravity", "load"))
+    bare = collection.load(next(n for n in collection.scenarios if "gravity" in n))
     yield Told("beam, no load", bare, (bare,), "adequate")
-    yield Told("beam, load kept back", loaded, (bare,), "added_mass", loaded.points[0, :3].mean(0))
+    for loaded in (collection.load(name) for name in collection.scenarios if "load" in name):
+        yield Told(f"{loaded.name}, load kept back", loaded, (bare,), "added_mass", loaded.points[0, :3].mean(0))
 
 
 def gravity(data: Path) -> Iterator[Told]:
@@ -132,10 +132,7 @@ def _row(told: Told, result: dict, found, seconds: float) -> dict:
 
 def _grams(found) -> float | None:
     """Mass that the refit of ``added_mass`` puts on the beam [g]: its share of the body's own mass."""
+    from ..diagnosis.diagnose import added_share
+
     refit = next((r for r in found.inquiry.refits if r.score.hypothesis.term.name == "added_mass"), None)
-    if refit is None:
-        return None
-    values, replica = refit.found.fit.values, found.inquiry.case
-    centre = [values[f"added_mass_{axis}"] for axis in "xyz"]
-    share = np.exp(-((replica.nodes - centre) ** 2).sum(1) / (2 * values["added_mass_within"] ** 2))
-    return round(float(BEAM * values["added_mass"] * share.mean()), 1)
+    return None if refit is None else round(BEAM * added_share(found.inquiry, refit.found.fit), 1)

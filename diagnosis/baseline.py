@@ -52,8 +52,9 @@ def baseline_model(replicas: list[Replica]) -> Model:
         terms.append(FarSprings)
         knobs.append(Knob("far_share", 0.5, 1.0, 1e-3, 10.0, log=True))
         values["far_reach"] = FAR * replicas[0].spacing
-        terms.append(CompressionSoftening)  # folds finer than the nodes give way where springs would push
-        knobs.append(Knob("compression_softening", 0.5, 0.4, 0.0, 1.0, step=0.1))
+        if not any(r.solid for r in replicas):
+            terms.append(CompressionSoftening)  # folds finer than the nodes give way where springs would push
+            knobs.append(Knob("compression_softening", 0.5, 0.4, 0.0, 1.0, step=0.1))
     solid = any(len(r.recording.interior) for r in replicas)
     for field, spread in ((StiffnessField, 0.3), (MassField, 0.3 if solid else 0.15)):  # what is thin is as heavy everywhere
         knobs += [Knob(p.name, 0.0, spread, p.low, p.high) for p in field.parameters]

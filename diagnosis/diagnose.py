@@ -20,7 +20,7 @@ from .planner import experiment
 from .report import write_report
 from .verdict import NONE, Calibration, Decision, calibration, context, decide, readings
 
-__all__ = ["NAMES", "Diagnosis", "diagnose"]
+__all__ = ["NAMES", "Diagnosis", "added_share", "diagnose"]
 
 NAMES = (
     *("quadratic_drag", "plate_drag", "wind", "gravity_tilt", "strain_stiffening", "compression_softening", "anisotropy", "bending"),
@@ -109,7 +109,7 @@ def diagnose(
         "probabilities": {name: round(p, 4) for name, p in decision.probabilities.items()},
         "where": where,
         "when": _when(inquiry, decision, chosen, change),
-        "parameters": _parameters(chosen),
+        "parameters": _parameters(chosen, inquiry),
         "fit": _errors(inquiry, chosen, before[0]),
         "detectable": _detectable(inquiry),
         "experiment": advice,
@@ -232,8 +232,8 @@ def _when(inquiry, decision: Decision, chosen, change):
     return {"frames": [int(late[0]) if len(late) else 0, frames]}
 
 
-def _parameters(chosen):
-    """The effect's own parameters, with 90 % intervals from the curvature of the fit."""
+def _parameters(chosen, inquiry):
+    """The effect's own parameters, with 90 % intervals from the curvature of the fit; of more mass also how much it is in all."""
     if chosen is None:
         return {}
     fit, hypothesis = chosen.found.fit, chosen.score.hypothesis
@@ -247,7 +247,17 @@ def _parameters(chosen):
     for name, value in hypothesis.values.items():
         if name not in out:
             out[name] = {"value": float(value), "unit": units[name], "interval90": [float(value)] * 2}
+    if hypothesis.term.name == "added_mass":
+        share = added_share(inquiry, fit) / max(out["added_mass"]["value"], 1e-12)
+        whole = {"value": share * out["added_mass"]["value"], "unit": "of the body's mass"}
+        out["added_mass_whole"] = whole | {"interval90": [share * end for end in out["added_mass"]["interval90"]]}
     return out
+
+
+def added_share(inquiry: Inquiry, fit) -> float:
+    """Mass that a fit with ``added_mass`` puts on the case's body, over the body's own."""
+    alone, both = (inquiry.simulators[0].masses(fit.model.terms, {**fit.values, **off}).sum() for off in ({"added_mass": 0.0}, {}))
+    return float(both / alone - 1)
 
 
 def _detectable(inquiry):

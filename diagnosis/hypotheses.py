@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -44,6 +45,13 @@ class Hypothesis:
         """(3,) m, where it acts, or None."""
         prefix = self.term.effect.place
         return np.array([self.values[f"{prefix}_{axis}"] for axis in "xyz"]) if prefix else None
+
+    def possible(self, replica, values: Mapping[str, float]) -> bool:
+        """Whether it can be so at ``values``: an obstacle is not where the body is in frame 0, give or take a node."""
+        if self.term.name != "hidden_obstacle":
+            return True
+        centre = np.array([values[f"obstacle_{axis}"] for axis in "xyz"])
+        return bool(np.linalg.norm(replica.nodes - centre, axis=1).min() > values["obstacle_radius"] - replica.spacing)
 
     def follows(self, replica) -> np.ndarray:
         """Indices of the nodes of ``replica`` that it moves to where they were seen: what it says of them is no evidence for it."""
@@ -90,7 +98,7 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
             for a in effect.amplitudes
         )
         widest = PART * float(np.linalg.norm(np.ptp(simulator.replica.nodes, axis=0)))
-        shapes = {n: sorted({min(v, widest) for v in of}) if n == effect.within else of for n, of in effect.shapes.items()}
+        shapes = {n: _reaches(of, widest, simulator.replica.spacing) if n == effect.within else of for n, of in effect.shapes.items()}
         for shape in product(*shapes.values()):
             values = dict(zip(shapes, shape, strict=True))
             for place in _places(term, simulator, predicted, push, values):
@@ -104,6 +112,11 @@ def _noticeable(replica, term) -> float:
         return _rigidity(replica, term)
     size = max(abs(term.effect.typical[a]) for a in term.effect.amplitudes)
     return size * heaviness(replica.system) if term.stage == "facet" else size
+
+
+def _reaches(tried, widest, spacing):
+    """Reaches [m] of a patch that are tried: none above ``widest``, and where all of them are, that of a single node."""
+    return sorted({min(v, widest) for v in tried}) if min(tried) <= widest else [min(spacing, widest)]
 
 
 def _rigidity(replica, term) -> float:

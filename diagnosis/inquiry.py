@@ -191,6 +191,7 @@ def inquire(
         one = refits[k]
         against = foresighted(wide, one.against, parts, leave=blind[k]) if k in rivals else base
         refits[k] = replace(one, found=foresighted(wide, one.found, parts, leave=blind[k]), against=against)
+    refits = [r for r in refits if r.score.hypothesis.possible(replicas[0], r.found.fit.values)]
     return replace(inquiry, base=base, refits=refits, yardstick=yardstick)
 
 

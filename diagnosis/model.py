@@ -103,16 +103,22 @@ class Simulator:
 
     def substeps(self, terms, values: Mapping[str, float]) -> int:
         """Substeps a frame that the body needs at ``values``, once the setup terms have made it what it is."""
-        batch = self._batch(tuple(terms), 1, None)
-        made = batch.prepare(replace(batch.inputs, table=self._table(batch, terms, [values])))
-        count = self.replica.system.particle_count
-        masses = made.mass[:count].cpu().numpy().astype(float)
+        made, masses = self._made(terms, values)
         terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in STIFF)
         body = replace(
             self.replica.system, stiffness=made.stiffness.cpu().numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms
         )
         need = stable_substeps([body], 1 / self.replica.recording.fps, safety=SAFETY, least=8)
         return min(MOST, ceil(LADDER ** ceil(log(need) / log(LADDER))))
+
+    def masses(self, terms, values: Mapping[str, float]) -> np.ndarray:
+        """(n,) mass of each node at ``values``, once the setup terms have made it what it is, over that of a node."""
+        return self._made(terms, values)[1]
+
+    def _made(self, terms, values):
+        batch = self._batch(tuple(terms), 1, None)
+        made = batch.prepare(replace(batch.inputs, table=self._table(batch, terms, [values])))
+        return made, made.mass[: self.replica.system.particle_count].cpu().numpy().astype(float)
 
     def run(self, terms, rows: Sequence[Mapping[str, float]], frames: int, *, substeps: int | None = None) -> np.ndarray:
         """Node positions (B, frames, n, 3) [m] for each of ``rows`` of parameter values; NaN from the first bad frame on."""

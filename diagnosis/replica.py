@@ -29,6 +29,9 @@ SET_OFF = (0.008, 0.06)  # m: a hand's way while one sees what it carries
 FIST = 0.05  # m, between points of one hand
 LOWEST = 0.05  # share of the nodes that may be lower than what lies on the ground; of a rope, whose nodes all lie alike, half
 LYING = 0.6  # node spacings: what is higher does not lie
+CELLS = 20000  # of a grid by which volumes are told
+LEAST = 0.5  # of the mean mass: what is lighter would only need shorter steps
+NOTHING = 1e-3  # of the mean mass, of what is held and needs none
 STILL = 3.0  # start velocities below this many standard errors are noise
 
 
@@ -36,7 +39,8 @@ STILL = 3.0  # start velocities below this many standard errors are noise
 class Replica:
     """A recording and the coarse body drawn on its frame 0.
 
-    system     without terms: nodes, springs of unit stiffness [N] (ties: unit stiffness per spacing), controllers, what was seen
+    system     without terms: nodes of unit mass on average, springs of unit stiffness [N] (ties: unit stiffness per spacing), controllers,
+               what was seen
     sightings  what was seen of the nodes in every frame that the method may see
     spacing    m, between neighbouring nodes
     links      (E,) bool, which springs tie controllers
@@ -70,6 +74,11 @@ class Replica:
     def driven(self) -> np.ndarray:
         """Indices of the nodes that hands drive: where they are is given, not predicted."""
         return self.system.grips[self.system.grips >= 0]
+
+    @property
+    def solid(self) -> bool:
+        """Whether it is a held body of known inside, of which the nodes stand for volumes."""
+        return bool(len(self.driven) and len(self.recording.interior) and not self.system.chains)
 
     def particles(self, nodes) -> list[int]:
         """Indices of the recording's structure particles that the given nodes stand for."""
@@ -140,6 +149,7 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
         positions=positions,
         springs=springs,
         stiffness=np.where(links, lengths[ties_kept] / own, 1.0),  # ties of all lengths pull alike, so that short ones need no short steps
+        masses=_masses(recording, positions, len(held), chains if marked else ()),
         controllers=recording.controllers,
         grips=grips,
         hinges=hinges,
@@ -154,6 +164,49 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
     )
     node_of = cKDTree(positions).query(structure)[1]
     return Replica(recording, system, sightings, own, links, node_of, _lift(recording, positions, own, 0.5 if chains else LOWEST))
+
+
+def _masses(recording, positions, held, chains):
+    """(n,) what each node of a held body stands for, over the mean of its free ones: length of a rope of markers, volume of a solid.
+
+    The markers that are held, its first ``held`` nodes, are no larger a share of the body for being many. Of other bodies it is one each,
+    as of PhysTwin's particles.
+    """
+    share = np.zeros(len(positions))
+    if not held or held == len(positions) or not (chains or len(recording.interior)):
+        return np.ones(len(positions))
+    if chains:
+        for chain in chains:
+            steps = np.linalg.norm(np.diff(positions[chain], axis=0), axis=1)
+            np.add.at(share, chain[:-1], steps / 2)
+            np.add.at(share, chain[1:], steps / 2)
+    else:
+        share = _volumes(np.concatenate([recording.interior, positions[:held]]), positions)
+    share /= share[held:].mean()
+    for node in held + np.flatnonzero(share[held:] < LEAST):  # what is lighter takes from the nearest that can spare it
+        spare = held + np.flatnonzero(share[held:] + share[node] > 2 * LEAST)
+        if len(spare):
+            share[spare[np.linalg.norm(positions[spare] - positions[node], axis=1).argmin()]] -= LEAST - share[node]
+        share[node] = LEAST
+    return np.maximum(share, NOTHING)
+
+
+def _volumes(particles, nodes):
+    """(n,) how many cells of a fine grid in the body that ``particles`` (K, 3) fill are nearest to each of ``nodes`` (n, 3).
+
+    The body is what is in the particles' convex hull and no farther from one of them than they are from each other.
+    """
+    from scipy.spatial import ConvexHull, Delaunay, cKDTree
+
+    hull, tree = ConvexHull(particles), cKDTree(particles)
+    pitch = (hull.volume / CELLS) ** (1 / 3)
+    low, high = particles.min(0), particles.max(0)
+    axes = [np.arange(a + pitch / 2, b, pitch) for a, b in zip(low, high, strict=True)]
+    cells = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    cells = cells[Delaunay(particles[hull.vertices]).find_simplex(cells) >= 0]
+    near = np.median(tree.query(particles, k=2)[0][:, 1])
+    cells = cells[tree.query(cells)[0] < max(near, pitch)]
+    return np.bincount(cKDTree(nodes).query(cells)[1], minlength=len(nodes)).astype(float)
 
 
 def _lift(recording, positions, spacing, share):

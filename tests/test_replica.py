@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 from twinbench.datasets.scenario import Observed
+from twinbench.diagnosis.model import Simulator
 from twinbench.diagnosis.replica import build_replica
 from twinbench.diagnosis.ropes import apart, marked_chains, rope_chains
+from twinbench.physics.terms import AddedMass
 
 
 def helix(count, *, turns=1.5, radius=0.2, rise=0.5):
@@ -113,3 +115,32 @@ def test_a_replica_of_another_recording_runs_the_same_way():
     turned = build_replica(recording(markers[::-1], grips=(0, 1, 18, 19)), nodes=30, like=first)
     start, other = (r.nodes[r.system.chains[0][0]] for r in (first, turned))
     assert np.linalg.norm(start - other) < 0.02
+
+
+def held_block():
+    """A block of 0.2 x 0.04 x 0.04 m, 9 x 5 x 5 particles; those of one end are markers that are held, the rest is inside."""
+    axes = [np.linspace(0, size, count) for size, count in ((0.2, 9), (0.04, 5), (0.04, 5))]
+    body = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    held = np.broadcast_to(body[:25], (10, 25, 3))
+    there = np.ones((10, 25), bool)
+    shown = dict(points=held, visible=there, motion_valid=there, controllers=held, grips=np.arange(25), interior=body[25:])
+    return Observed(name="block", fps=30.0, gravity=[0, 0, -9.81], **shown)
+
+
+def test_nodes_of_a_held_solid_weigh_what_they_stand_for():
+    replica = build_replica(held_block(), nodes=60)
+    mass, x = replica.system.masses, replica.nodes[:, 0]
+    assert mass[25:].mean() == pytest.approx(1.0, rel=0.1)  # relative to a free node; few are raised to the least mass
+    # a uniform block has its middle half way, and x^2 of 1 / 3 of its squared length; nodes are 18 mm apart, an eleventh of it
+    assert mass @ x / mass.sum() == pytest.approx(0.1, rel=0.06)
+    assert mass @ x**2 / mass.sum() == pytest.approx(0.2**2 / 3, rel=0.08)
+    assert (x**2).mean() < 0.8 * 0.2**2 / 3  # as nodes of one mass each do not, most of which are held
+
+
+def test_masses_are_told_as_the_setup_terms_make_them():
+    replica = build_replica(held_block(), nodes=40)
+    place, reach = np.array([0.2, 0.02, 0.02]), 0.03
+    values = {"added_mass": 2.0, "added_mass_within": reach, **{f"added_mass_{a}": c for a, c in zip("xyz", place, strict=True)}}
+    # m (1 + a exp(-|x - c|^2 / 2 r^2)); float32
+    share = np.exp(-((replica.nodes - place) ** 2).sum(1) / (2 * reach**2))
+    np.testing.assert_allclose(Simulator(replica).masses((AddedMass,), values), replica.system.masses * (1 + 2 * share), rtol=1e-5)
