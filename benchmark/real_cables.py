@@ -18,21 +18,24 @@ from ..diagnosis.hypotheses import catalogue
 from ..diagnosis.ladder import STARTS, Candidate, best, climb, led
 from ..diagnosis.model import Knob, Model, Simulator
 from ..diagnosis.replica import Replica, build_replica
+from ..physics.hinges import natural_curvature
 from ..physics.terms import AddedMass, Dashpot, Gravity, LinearDrag, Springs
 from ..physics.terms.bending import Bending
 from ..physics.terms.braces import Braces
 from ..physics.terms.natural_curvature import ENDS, MODES, NaturalCurvature
 from ..physics.terms.observer import Observer
 from ..physics.terms.stiffness_level import StiffnessLevel
+from ..physics.topology import rope_hinges
 from .cable_results import FIELDS, Found, write
 
-__all__ = ["CableTask", "Plan", "cable_replica", "candidates", "first_twin", "score", "study", "window"]
+__all__ = ["Cable", "CableTask", "Plan", "cable_replica", "candidates", "common_shapes", "first_twin", "score", "study", "window"]
 
 LINE_DENSITY = 1.0  # kg/m: gravity and inertia grow alike, so all stiffness is known per mass only, as E I / (rho A)
 STIFFEST = 5e3  # N: at a cable's own weight this stretches by less than 0.1 %, and a stiffer one only needs shorter steps
 NODES = 64  # markers that a cable may have
-TRAIN, VALIDATION = 12, 14  # recordings
+TRAIN, VALIDATION = 12, 28  # recordings
 SECONDS = 1.5  # of each that are fitted
+AHEAD = 2.5  # s of each that is held out: an error that has grown for longer says how touchy a motion is, not what the twin lacks
 SEEN_START = 7  # frames that tell how fast a fitted recording begins: 0.2 mm of jitter is then 1.2 cm/s at 100 Hz
 LOSSY = ("bending_damping", "viscoelastic", "plasticity", "quadratic_drag")
 THIN = ({"drag_damping": 0.1},)  # what takes energy out elsewhere leaves less for the air, which stood in for it
@@ -40,7 +43,10 @@ DRAWN = 5  # windows of a recording that are tried until one begins where its ma
 SCOUTED = 4  # recordings on which starts are tried
 JITTER = 2e-4  # m, of the markers of a recording
 LIMP = ({"brace_share": 1e-3}, {"brace_share": 1e-3, "drag_damping": 1.0})  # a chain of links, and one in thicker air
-DRAWS = 48  # random natural shapes tried as starts
+LOOKS = 0.5  # s between frames whose shapes are compared
+SHAPES = 2  # that frames have in common: the natural one, if bending counts, and what hangs
+SHARES = (0.3, 0.6, 1.0)  # of these, tried as natural shapes
+DRAWS = 12  # random ones, tried as well
 PLACES = (0.25, 0.5, 0.75)  # of the arc, where more mass is looked for
 BENT = 2.0  # 1/m, a natural curvature as a cable off a reel has: 0.5 m radius
 ASKEW = 0.3  # further angle at which a grip may hold it, as 2 tan(angle / 2)
@@ -63,7 +69,6 @@ class Plan:
     effects: tuple[str, ...] = ()
 
 
-@dataclass
 @dataclass
 class CableTask(Task):
     """Recordings of one cable, each counting by the log of its error: a fit lowers shares of errors, not the worst ones first.
@@ -125,10 +130,11 @@ def _speed(points, fps):
     return np.where(np.isfinite(found), found, 0.0)
 
 
-def candidates(rng: np.random.Generator, length: float) -> list[Candidate]:
+def candidates(rng: np.random.Generator, length: float, shapes: np.ndarray) -> list[Candidate]:
     """What may be missing of a cable of ``length`` m in the air: the effects that need neither ground nor hands, and a natural shape.
 
-    Left out are those that tell directions or places of a body that is more than a line.
+    ``shapes`` (S, MODES) 1/m are natural shapes that it may have (``common_shapes``). Left out are those that tell directions or places of
+    a body that is more than a line.
     """
     found = []
     for term in catalogue():
@@ -139,7 +145,7 @@ def candidates(rng: np.random.Generator, length: float) -> list[Candidate]:
             also = LIMP if term is Bending else THIN if term.name in LOSSY else ()
             needs = "bending" if term.name == "torsion" else ""
             found.append(Candidate.of(term, also=also, needs=needs))
-    found += [_more_mass(length), _natural_shape(rng), _first_shape()]
+    found += [_more_mass(length), _natural_shape(rng, shapes), _first_shape()]
     return found
 
 
@@ -154,13 +160,34 @@ def _more_mass(length):
     return Candidate("added_mass", knobs, np.array(starts), (AddedMass,))
 
 
-def _natural_shape(rng):
+def _natural_shape(rng, shapes):
     """Modes of natural curvature; the one about axis b that all of them could be rolled into is left out."""
     modes = [f"natural_{axis}{k}" for axis in "ab" for k in range(MODES) if (axis, k) != ("b", 0)]
     ends = [f"natural_{axis}_{end}" for axis in "ab" for end in ENDS]
     knobs = [Knob(n, 0.0, BENT, -50.0, 50.0) for n in modes] + [Knob(n, 0.0, ASKEW, -1.5, 1.5) for n in ends]
     scale = np.array([1.0 / (1 + int(n[-1])) for n in modes] + [0.3] * len(ends)) * [k.spread for k in knobs]
-    return Candidate("natural_curvature", tuple(knobs), rng.normal(size=(DRAWS, len(knobs))) * scale, also=LIMP[:1], needs="bending")
+    starts = [np.concatenate([share * c.real, share * c.imag[1:], np.zeros(len(ends))]) for c, share in product(shapes, SHARES)]
+    starts = np.array([*starts, *rng.normal(size=(DRAWS, len(knobs))) * scale])
+    return Candidate("natural_curvature", tuple(knobs), starts, also=LIMP[:1], needs="bending")
+
+
+def common_shapes(cable: Cable, recordings: Sequence[Observed]) -> np.ndarray:
+    """(SHAPES, MODES) 1/m: curvatures that frames of ``recordings`` share but for a roll about the rope, as complex Legendre modes.
+
+    A rope's curvature is sum_k (a_k + i b_k) P_k(u) in a frame without twist, whose roll nobody sees: that of recorded frame f is
+    e^(i phi_f) c + rest, and the c that leave the least squares are the leading right singular vectors of all frames' curvatures.
+    """
+    chain, lengths = cable.like.system.chains[0], cable.lengths[0]
+    span = (lengths[:-1] + lengths[1:]) / 2
+    seen = [r.points[:: max(1, round(LOOKS * r.fps)), _order(cable.like)] for r in recordings]
+    rows = [natural_curvature(x, rope_hinges(chain), (chain,)) @ [1, 1j] / span for x in np.concatenate(seen)]
+    _, sizes, shapes = np.linalg.svd(np.array(rows), full_matrices=False)
+    u = 2 * np.cumsum(lengths)[:-1] / lengths.sum() - 1
+    inner = slice(1, -1)  # how a grip holds the ends is no shape of the rope
+    modes = np.stack([np.polynomial.legendre.Legendre.basis(k)(u) for k in range(MODES)], 1)[inner]
+    found = [np.linalg.lstsq(modes.astype(complex), size * shape[inner], rcond=None)[0] for size, shape in zip(sizes, shapes, strict=True)]
+    found = np.array(found[:SHAPES]) / np.sqrt(len(rows))
+    return found * np.exp(-1j * np.angle(found[:, :1]))
 
 
 def _first_shape():
@@ -199,7 +226,7 @@ def first_twin(task: Task, scouting: Task, asked: Sequence[Candidate], *, iterat
     trials = [np.array([k.encode(v) for k, v in zip(model.knobs, point, strict=True)]) for point in grid]
     steps = [max(a) for a in zip(*(scouting.substeps(model, t) for t in trials[::7]), scouting.substeps(model, trials[-1]), strict=True)]
     residual = scouting.residuals(scouting.predict(model, trials, steps))
-    costs = [float(np.abs(r).sum()) if np.isfinite(r).all() else np.inf for r in residual]
+    costs = [scouting.by_frame.misfit(r) if np.isfinite(r).all() else np.inf for r in residual]
     fits = []
     for i in np.argsort(costs)[:STARTS]:
         knobs = tuple(replace(k, start=k.decode(u)) for k, u in zip(model.knobs, trials[i], strict=True))
@@ -282,10 +309,11 @@ def study(
     first = cable_replica(fitted[0].observed())
     cable = Cable(first, lengths_of(fitted, first))
     task = _task(cable, fitted, rng, plan.seconds, device)
-    validation = _task(cable, held_out, rng, np.inf, device)
+    validation = _task(cable, held_out, rng, AHEAD, device)
     scouting = CableTask(task.simulators[:SCOUTED], task.frames[:SCOUTED], 0.0)
     report(f"{collection.name} seed {seed}: fitted {', '.join(s.name for s in fitted)}; validation {', '.join(s.name for s in held_out)}")
-    asked = [c for c in candidates(rng, cable.arc) if not plan.effects or c.name in plan.effects]
+    shapes = common_shapes(cable, [s.observed() for s in fitted])
+    asked = [c for c in candidates(rng, cable.arc, shapes) if not plan.effects or c.name in plan.effects]
     base = first_twin(task, scouting, asked, iterations=plan.iterations)
     doubted = [_braces(base)]
     options = dict(iterations=plan.iterations, doubted=doubted, most=plan.most, report=report)

@@ -32,7 +32,7 @@ class Candidate:
     knobs     that it adds; all amplitudes are 0 where it is absent
     starts    (S, K) values of the knobs from which the best is taken
     also      sets of values of knobs that the model has already, tried beside where these are
-    needs     name of a candidate without which it means nothing, or ""
+    needs     name of a candidate without which it means nothing, or "": where the twin lacks that, both are tried as one
     off       values of what the twin has from the beginning and may turn out not to need, when it is taken out
     """
 
@@ -138,43 +138,44 @@ def climb(
 ) -> Climb:
     """Add the candidate that helps ``validation`` most, refit everything, see whether earlier ones are still needed, and go on.
 
-    All fits of a step start from the same twin and take the same number of steps, the twin without anything new too. A candidate is
+    All fits of a step start from the same twin and take the same number of steps, the twin without anything new too. What needs another
+    candidate is tried together with it: stiffness about a shape that is not the body's own may help nobody. A candidate is
     accepted where its gain, paired over the validation recordings, exceeds ``SURE`` standard errors and ``WORTH``, the greatest gain first,
-    and one that was accepted stays while that is so; ``doubted`` parts of the twin are treated as if they had been accepted. ``scouting``
-    is a part of ``task`` on which starts are chosen.
+    and one that was accepted stays unless the twin without it is within one standard error, or ``WORTH``, of the twin with it (Breiman et
+    al. 1984, section 3.4.3); ``doubted`` parts of the twin are treated as if they had been accepted. ``scouting`` is a part of ``task`` on
+    which starts are chosen.
     """
     steps, found, accepted = [], base, list(doubted)
     first = base
     start_error = float(errors(validation, base.model, base.z).mean())
     rivals: tuple[Rung, ...] = ()
     while len(steps) < most:
-        plain = best(task, [found, _fit(task, found.model, found.z, SCOUT + iterations)])
+        plain = best(task, [found, _fit(task, found.model, found.z, 2 * SCOUT + iterations)])
         before = errors(validation, plain.model, plain.z)
-        have = {a.name for a in accepted}
-        left = [c for c in candidates if c.name not in have and (not c.needs or c.needs in have)]
-        scouts = [(c, _scouted(scouting, found, c)) for c in left]
+        scouts = _scouts(scouting, found, candidates, {a.name for a in accepted})
         ranks = [sorted(scouts, key=key)[:FINALISTS] for key in (lambda s: s[1].loss, lambda s: _level(validation, s[1]))]
         scouts = [s for s in scouts if any(s is r for rank in ranks for r in rank)]
         tried = []
-        for candidate, scout in scouts:
+        for new, scout in scouts:
             full = best(task, [scout, _fit(task, scout.model, scout.z, iterations)])
             after = errors(validation, full.model, full.z)
             gain, spread = _paired(before, after)
-            tried.append((candidate, full, Rung(candidate.name, float(after.mean()), gain, spread)))
-            report(f"{candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {gain:.3f} +- {spread:.3f}")
+            name = " + ".join(c.name for c in new)
+            tried.append((new, full, Rung(name, float(after.mean()), gain, spread)))
+            report(f"{name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {gain:.3f} +- {spread:.3f}")
         rivals = tuple(t[2] for t in tried)
         good = [t for t in tried if _counts(t[2].gain, t[2].spread)]
         if not good:
             found = plain if _paired(errors(validation, found.model, found.z), before)[0] > 0 else found
             break
-        candidate, found, rung = max(good, key=lambda t: t[2].gain)
-        accepted.append(candidate)
+        new, found, rung = max(good, key=lambda t: t[2].gain)
+        accepted += new
         found, dropped = _ablated(task, validation, found, accepted, iterations)
         accepted = [a for a in accepted if a.name not in dropped]
         after = errors(validation, found.model, found.z)
-        steps.append(Step(candidate.name, float(before.mean()), float(after.mean()), rung.spread, rivals, dropped, found))
+        steps.append(Step(rung.name, float(before.mean()), float(after.mean()), rung.spread, rivals, dropped, found))
         less = f", without {', '.join(dropped)}" if dropped else ""
-        report(f"+ {candidate.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm{less}")
+        report(f"+ {rung.name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm{less}")
     losses = {}
     if steps:
         whole = errors(validation, found.model, found.z)
@@ -196,6 +197,17 @@ def _fit(task, model, z, iterations) -> Fit:
 def led(task: Task, bandwidth: float = LED) -> Task:
     """The task with simulations that are drawn to what was seen: they cannot run away, so that a fit finds its way from afar."""
     return replace(task, bandwidth=bandwidth)
+
+
+def _scouts(task, found, candidates, have):
+    """((candidate, ...), short fit) of every candidate that the twin lacks, with what it needs where it lacks that too."""
+    lacking = {c.name: c for c in candidates if c.name not in have}
+    alone = {name: _scouted(task, found, c) for name, c in lacking.items() if c.needs in ("", *have)}
+    scouts = [((lacking[name],), scout) for name, scout in alone.items()]
+    for c in lacking.values():
+        if c.needs in alone:
+            scouts.append(((lacking[c.needs], c), _scouted(task, alone[c.needs], c)))
+    return scouts
 
 
 def _scouted(task, found, candidate) -> Fit:
@@ -220,7 +232,7 @@ def _started(task, found, candidate):
             trials.append(np.concatenate([moved, own]))
     steps = [max(a) for a in zip(*(task.substeps(model, t) for t in trials[:: max(1, len(trials) // 8)]), strict=True)]
     found = task.residuals(task.predict(model, trials, steps))
-    costs = [float(np.abs(r).sum()) if np.isfinite(r).all() else np.inf for r in found]
+    costs = [task.by_frame.misfit(r) if np.isfinite(r).all() else np.inf for r in found]
     return model, [trials[i] for i in np.argsort(costs)[:STARTS]]
 
 
@@ -242,7 +254,7 @@ def _ablated(task, validation, found, accepted, iterations):
         bare = _without(found, one)
         bare = best(task, [bare, _fit(task, bare.model, bare.z, iterations)])
         loss, spread = _paired(errors(validation, bare.model, bare.z), errors(validation, found.model, found.z))
-        if not _counts(loss, spread):
+        if loss < max(spread, WORTH):
             found = bare
             dropped.append(one.name)
     return found, tuple(dropped)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from twinbench.benchmark.cable_results import write
-from twinbench.benchmark.real_cables import Plan, cable_replica, run, study, window
+from twinbench.benchmark.real_cables import Cable, Plan, cable_replica, common_shapes, run, study, window
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Scenario, Split, TransferPair
 from twinbench.physics.batch import Batch
@@ -144,3 +144,23 @@ def test_nodes_weigh_what_they_stand_for():
 def test_no_cables_are_an_error(tmp_path):
     with pytest.raises(ValueError, match="folders of cables"):
         run(tmp_path, tmp_path, seeds=(0,))
+
+
+def test_the_shape_that_frames_share_is_found_whatever_their_roll():
+    count, step = 15, 0.05
+    lengths, rng = np.full(count - 1, step), np.random.default_rng(0)
+    u = 2 * np.cumsum(lengths)[:-1] / lengths.sum() - 1
+    curvature = 2.0 + 1.5 * u  # 1/m, in the modes P_0 and P_1
+    angle = np.concatenate([[0.0], np.cumsum(2 * np.arctan(curvature * step / 2))])  # a hinge's curvature is 2 tan(angle / 2)
+    line = np.concatenate([np.zeros((1, 3)), np.cumsum(step * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1), 0)])
+    shown = [line @ np.linalg.qr(rng.normal(size=(3, 3)))[0].T + rng.normal(0, 1e-5, (count, 3)) for _ in range(8)]
+    there = np.ones((2, count), bool)
+    held = [0, 1, count - 2, count - 1]
+    one = dict(visible=there, motion_valid=there, grips=held, fps=1.0, gravity=[0, 0, -9.81], object="rope", split=Split(2, 2))
+    frames = [np.stack(pair) for pair in zip(shown[::2], shown[1::2], strict=True)]
+    recordings = [Scenario(name=str(k), points=p, controllers=p[:, held], **one) for k, p in enumerate(frames)]
+    replica = cable_replica(recordings[0])
+    found = common_shapes(Cable(replica, [lengths]), recordings)[0]
+    # 1e-5 m of noise bends a hinge by some 1e-5 * 2 / step^2 = 0.01 1/m
+    np.testing.assert_allclose(np.abs(found[:3]), [2.0, 1.5, 0.0], atol=0.03)
+    assert found[0].imag == pytest.approx(0.0, abs=1e-9)  # rolled so that the first mode is about one axis
