@@ -133,8 +133,8 @@ def _speed(points, fps):
 def candidates(rng: np.random.Generator, length: float, shapes: np.ndarray) -> list[Candidate]:
     """What may be missing of a cable of ``length`` m in the air: the effects that need neither ground nor hands, and a natural shape.
 
-    ``shapes`` (S, MODES) 1/m are natural shapes that it may have (``common_shapes``). Left out are those that tell directions or places of
-    a body that is more than a line.
+    ``shapes`` (S, MODES) 1/m are natural shapes that it may have (``common_shapes``): of its own, the same in all recordings. Left out are
+    effects that tell directions or places of a body that is more than a line.
     """
     found = []
     for term in catalogue():
@@ -145,7 +145,7 @@ def candidates(rng: np.random.Generator, length: float, shapes: np.ndarray) -> l
             also = LIMP if term is Bending else THIN if term.name in LOSSY else ()
             needs = "bending" if term.name == "torsion" else ""
             found.append(Candidate.of(term, also=also, needs=needs))
-    found += [_more_mass(length), _natural_shape(rng, shapes), _first_shape()]
+    found += [_more_mass(length), _natural_shape(rng, shapes)]
     return found
 
 
@@ -188,11 +188,6 @@ def common_shapes(cable: Cable, recordings: Sequence[Observed]) -> np.ndarray:
     found = [np.linalg.lstsq(modes.astype(complex), size * shape[inner], rcond=None)[0] for size, shape in zip(sizes, shapes, strict=True)]
     found = np.array(found[:SHAPES]) / np.sqrt(len(rows))
     return found * np.exp(-1j * np.angle(found[:, :1]))
-
-
-def _first_shape():
-    knob = Knob("natural_kept", 0.0, 0.5, 0.0, 1.5)
-    return Candidate("first_shape_natural", (knob,), np.array([[0.2], [0.5], [1.0]]), needs="bending")
 
 
 def _braces(base):
