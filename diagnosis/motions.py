@@ -23,7 +23,7 @@ STILL = 0.6  # s of rest at the end
 class Setting:
     """The hands that hold a body, and the room around.
 
-    start    (C, 3) m, hand points in frame 0; hand (C,) which hand each belongs to; centre (H, 3) m
+    start    (C, 3) m, hand points in frame 0; hand (C,) which hand each belongs to; centre (H, 3) m, the two farthest apart first
     up       away from gravity; line: along the held edge, level; face: level and across it, as a sheet that hangs there faces
     reach    m, the body's extent
     lift     m, by which hands must rise until it hangs free of the table
@@ -48,7 +48,7 @@ class Setting:
         start = recording.controllers[0]
         if not len(start):
             raise ValueError(f"{recording.name}: nobody holds the body, so that no motion can be planned")
-        hand = np.unique(fists(start), return_inverse=True)[1]
+        hand = _hands(replica)
         centre = np.stack([start[hand == h].mean(0) for h in range(hand.max() + 1)])
         gravity = np.asarray(recording.gravity, float)
         up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
@@ -124,6 +124,25 @@ def motions(setting: Setting) -> list[Motion]:
             lifts = setting.lift > LYING and make not in ON_THE_TABLE
             found.append(Motion(name, f"lift it by {_cm(setting.lift)}, then {says}" if lifts else says, path))
     return found
+
+
+def _hands(replica):
+    """(C,) which hand each controller belongs to: points of one fist, and markers that follow each other along a rope; see ``Setting``."""
+    from scipy.spatial.distance import cdist
+
+    start, system = replica.recording.controllers[0], replica.system
+    label = fists(start)
+    moved_by = {int(node): c for c, node in enumerate(system.grips) if node >= 0}
+    for chain in system.chains:
+        for a, b in zip(chain[:-1].tolist(), chain[1:].tolist(), strict=True):
+            if a in moved_by and b in moved_by:
+                label[label == label[moved_by[b]]] = label[moved_by[a]]
+    label = np.unique(label, return_inverse=True)[1]
+    centre = np.stack([start[label == h].mean(0) for h in range(label.max() + 1)])
+    apart = cdist(centre, centre)
+    first = np.unravel_index(int(apart.argmax()), apart.shape)
+    order = list(dict.fromkeys([*sorted(int(h) for h in first), *range(len(centre))]))
+    return np.argsort(order)[label]
 
 
 def _level(way, up):

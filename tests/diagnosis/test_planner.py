@@ -212,6 +212,21 @@ def test_up_is_against_gravity(tiny):
     assert rise[..., 1].min() < -0.05 and np.abs(rise[..., [0, 2]]).max() < 1e-9
 
 
+def test_markers_that_follow_each_other_along_a_rope_are_one_hand(tiny):
+    # 6 cm apart, so farther than points of a fist: both ends are hands nevertheless, one marker in the middle is a third
+    s = np.linspace(-0.36, 0.36, 13)
+    rope = np.stack([s, 0 * s, 0.3 * s**2], 1)
+    grips = np.array([6, 0, 12, 1, 11])
+    scenario = tiny.filmed(np.repeat(rope[None], 12, 0), np.repeat(rope[None, grips], 12, 0), grips=grips)
+    setting = Setting.of(build_replica(scenario, nodes=100))
+    assert setting.hand.tolist() == [2, 0, 1, 0, 1]
+    np.testing.assert_allclose(setting.centre, [rope[:2].mean(0), rope[-2:].mean(0), rope[6]], atol=1e-9)
+    pull = next(m for m in motions(setting) if m.name == "slow pull").controllers
+    gap = np.linalg.norm(pull[:, 1] - pull[:, 2], axis=1)
+    assert gap.max() - gap[0] == pytest.approx(0.05 * 0.66, rel=1e-3)  # by a twentieth of what is between the hands
+    assert np.abs(pull[:, 0] - pull[0, 0]).max() == 0  # the third stays
+
+
 def test_nobody_holds_it(tiny):
     scenario = tiny.filmed(np.repeat(tiny.sheet(3, 3)[None], 12, 0), np.zeros((12, 0, 3)))
     with pytest.raises(ValueError, match="one: nobody holds the body, so that no motion can be planned"):
