@@ -6,6 +6,8 @@ import numpy as np
 
 __all__ = ["controller_springs", "object_springs", "rope_hinges", "sheet_hinges"]
 
+CROWD = 10_000  # neighbours from which on starting threads is worth the while
+
 
 def object_springs(points, *, radius: float, max_neighbours: int) -> np.ndarray:
     """Springs (E, 2) int32 between ``points`` (M, 3) [m], each once, in PhysTwin's order, so that its checkpoints' stiffness fits.
@@ -90,7 +92,8 @@ def _hits(queries, points, radius, count, *, drop_first=False):
     from scipy.spatial import cKDTree
 
     count = min(int(count), len(points))
-    distance, index = cKDTree(points).query(queries, k=np.arange(1, count + 1), distance_upper_bound=radius, workers=-1)
+    workers = -1 if len(queries) * count > CROWD else 1
+    distance, index = cKDTree(points).query(queries, k=np.arange(1, count + 1), distance_upper_bound=radius, workers=workers)
     if drop_first:
         distance, index = distance[:, 1:], index[:, 1:]
     found = np.isfinite(distance)
