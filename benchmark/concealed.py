@@ -181,7 +181,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     return Calibration(weights, biases, c.context, null, source=source)
 
 
-def _null(rows) -> dict[str, dict[str, tuple[float, float]]]:
+def _null(rows) -> dict[str, dict[str, list[float]]]:
     """By term, and over all by "": mean and standard deviation of what readings show where nothing is missing.
 
     Each term's are drawn to those of all, as if it had been seen ``POOLED`` times more.
@@ -195,14 +195,16 @@ def _null(rows) -> dict[str, dict[str, tuple[float, float]]]:
         return {}
     every = np.concatenate([np.array(v) for v in seen.values()])
     middle, width = every.mean(0), np.maximum(every.std(0), 1e-3)
-    out = {"": {name: (float(m), float(w)) for name, m, w in zip(SHOWS, middle, width, strict=True)}}
+    out = {"": _by_name(middle, width)}
     for key, values in seen.items():
-        count, mean = len(values), np.mean(values, 0)
-        mean, square = (
-            (count * own + POOLED * common) / (count + POOLED) for own, common in ((mean, middle), (np.var(values, 0), width**2))
-        )
-        out[key] = {name: (float(m), float(np.sqrt(v))) for name, m, v in zip(SHOWS, mean, square, strict=True)}
+        share = len(values) / (len(values) + POOLED)
+        mean = share * np.mean(values, 0) + (1 - share) * middle
+        out[key] = _by_name(mean, np.sqrt(share * np.var(values, 0) + (1 - share) * width**2))
     return out
+
+
+def _by_name(mean, deviation):
+    return {name: [round(float(m), 4), round(float(d), 4)] for name, m, d in zip(SHOWS, mean, deviation, strict=True)}
 
 
 def _scores(rows, c: Calibration) -> np.ndarray:

@@ -67,7 +67,7 @@ class Calibration:
     weights: dict[str, float]
     biases: dict[str, float]
     context: dict[str, dict[str, float]]
-    null: dict[str, dict[str, tuple[float, float]]] = field(default_factory=dict)
+    null: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     named: float = 0.5
     both: float = 0.7
     sure: float = 0.5

@@ -179,6 +179,16 @@ def evidence(result):
     return [Reading(r["effect"], r["term"], {k: r[k] for k in FEATURES}) for r in rows], result["evidence"]["context"]
 
 
+def test_what_terms_show_where_nothing_is_missing_is_learned_from_controls():
+    def shown(kind, effect, values):
+        rows = [{"effect": "wind", "term": "wind", **dict.fromkeys(FEATURES, 0.0), "shows_train": v} for v in values]
+        return {f"{kind}{k}": (answered("adequate", readings=[r]), label(kind, effect)) for k, r in enumerate(rows)}
+
+    null = calibrate(*split(shown("control", None, [1.0, 3.0]) | shown("effect", "wind", [9.0, 9.0]))).null
+    # of one term alone the pool is its own: mean 2, deviation 1; what was planted has no say
+    assert null["wind"]["shows_train"] == null[""]["shows_train"] == [2.0, 1.0]
+
+
 def test_no_gain_ever_speaks_against_its_effect():
     # labels the wrong way round: what gains most is never the truth
     results, labels = split(made_up(12, "control", gains={"wind": 3.0}) | made_up(12, "effect", effect="wind", gains={"wind": 0.0}, seed=1))

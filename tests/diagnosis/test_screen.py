@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from twinbench.diagnosis.baseline import baseline_model
-from twinbench.diagnosis.fit import Fit, Task, fit, floor_of
+from twinbench.diagnosis.fit import Fit, Frames, Task, fit, floor_of
 from twinbench.diagnosis.hypotheses import ANY, FOLLOWED, Hypothesis, catalogue, hypotheses_for
 from twinbench.diagnosis.locate import DAMPING, missing_acceleration
 from twinbench.diagnosis.model import Knob, Model
 from twinbench.diagnosis.parts import Part, judged
 from twinbench.diagnosis.refit import _starts, evaluate, refit
-from twinbench.diagnosis.screen import screen
+from twinbench.diagnosis.screen import RIDGE, _shows, confirm, screen
 from twinbench.physics.terms import Ground, Springs
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 from twinbench.physics.terms.quadratic_drag import QuadraticDrag
@@ -62,6 +62,46 @@ def test_nothing_explains_a_tilt_better_than_what_is_as_uniform(tilted):
         best[s.hypothesis.effect] = max(best[s.hypothesis.effect], s.gains["heldout"])
     assert set(sorted(best, key=best.get)[-2:]) <= {"gravity_tilt", "wind", "hidden_tether"}
     assert best["gravity_tilt"] == pytest.approx(max(best.values()), abs=0.02)
+
+
+def test_what_shows_is_counted_in_standard_errors():
+    # F frames weigh 1 / F each, over 3 n residuals: those of pure noise, weighted, have variance 1 / (3 n F), so their product with a unit
+    # vector, over sqrt(RIDGE), has the deviation 1 / sqrt(3 n F RIDGE); Huber's limit of 3 deviations takes off little
+    rng, frames, nodes = np.random.default_rng(0), 10, 8
+    by_frame = Frames.of_seen([np.ones((frames, nodes), bool)], [1e-12])
+    size = 0.01 / np.sqrt(frames * 3 * nodes)
+    nuisance, effect = rng.standard_normal((frames * 3 * nodes, 4)), rng.standard_normal(frames * 3 * nodes)
+    drawn = np.array([_shows(size * rng.standard_normal(len(effect)), nuisance, effect, by_frame) for _ in range(400)])
+    expected = 1 / np.sqrt(frames * 3 * nodes * RIDGE)
+    assert abs(drawn.mean()) < 4 * expected / np.sqrt(400)
+    assert drawn.std() == pytest.approx(expected, rel=0.15)  # 400 draws: 3.5 % by chance; Huber's weights and the frames' own sizes
+    # what the baseline's knobs can do shows nothing; what follows the effect shows, and what goes against it shows negatively
+    noise = size * rng.standard_normal(len(effect))
+    assert abs(_shows(size * nuisance @ np.ones(4), nuisance, effect, by_frame)) < 0.1
+    assert _shows(noise - size * effect, nuisance, effect, by_frame) > 4 * expected
+    assert _shows(noise + size * effect, nuisance, effect, by_frame) < -4 * expected
+    assert _shows(noise, nuisance, 0 * effect, by_frame) == 0.0
+
+
+def test_a_planted_tilt_shows_on_every_part_and_an_effect_that_is_not_there_less(tilted):
+    (one,) = [s for s in tilted if s.hypothesis.term is GravityTilt]
+    assert min(one.shows.values()) > 5  # standard errors, where the simulated recording has no other fault
+    others = [s for s in tilted if s.hypothesis.effect not in ("gravity_tilt", "wind", "hidden_tether")]
+    assert max(min(s.shows.values()) for s in others) < min(one.shows.values())
+
+
+def test_what_shows_on_a_part_is_the_same_when_it_is_looked_at_alone(tiny):
+    simulator = tiny.drawn(tiny.concealing(terms=[GravityTilt], values={"tilt_x": 0.7, "tilt_y": -0.3}, gravity=np.zeros(3), frames=30))
+    task, base = Task([simulator], [30], BANDWIDTH, finest=EXACT), at_truth(tiny, simulator)
+    knobs = tuple(Knob(f"tilt_{a}", 0.0, 0.7, -20.0, 20.0, step=0.25) for a in "xyz")
+    absent = Hypothesis("quadratic_drag", QuadraticDrag, {}, (Knob("quadratic_drag", 0.0, 1.0, 0.0, 20.0, step=0.25),))
+    scores = screen(task, base, [Hypothesis("gravity_tilt", GravityTilt, {}, knobs), absent], PARTS)
+    scores[1] = replace(scores[1], amplitude=np.zeros(1))
+    again = confirm(task, base, [replace(s, shows={"train": s.shows["train"]}) for s in scores], PARTS[1:])
+    # one turn of all amplitudes at once, or one of each: the same but for what is not linear in a quarter of a noticeable tilt
+    assert again[0].shows["heldout"] == pytest.approx(scores[0].shows["heldout"], rel=0.02)
+    assert again[0].shows["train"] == scores[0].shows["train"]
+    assert again[1].shows["heldout"] == 0.0
 
 
 def test_what_the_observer_pushes_with_is_the_missing_acceleration():

@@ -15,12 +15,14 @@ from twinbench.diagnosis.verdict import (
     NONE,
     OTHER,
     SEEN,
+    STRANGE,
     Calibration,
     Reading,
     calibration,
     decide,
     left,
     scores,
+    squeezed,
     verdict_of,
 )
 
@@ -72,6 +74,26 @@ def test_probabilities_are_a_softmax_of_weighted_features():
     np.testing.assert_allclose(values, s)
     p = np.exp(s) / np.exp(s).sum()
     assert decide(found, {"floor": 2.0, "learned": 0.5}, c).probabilities == pytest.approx(dict(zip(names, p, strict=True)))
+
+
+def test_what_a_term_shows_is_told_beside_what_it_shows_where_nothing_is_missing():
+    null = {"wind": {"shows_train": [1.0, 0.5]}, "": {"shows_train": [0.2, 0.1]}}
+    c = Calibration({"shows_train": 2.0}, {}, {}, null)
+    assert c.told(Reading("wind", "wind", {"shows_train": 1.5}))["shows_train"] == pytest.approx(1.0)
+    assert c.told(Reading("creep", "creep", {"shows_train": 0.1}))["shows_train"] == pytest.approx(-1.0)  # a term that it never met
+    assert c.told(Reading("wind", "wind", {"shows_train": 1e9}))["shows_train"] == STRANGE[1]
+    # nothing is told of what has no null, of what the tracks say, nor of a twin that was fitted elsewhere
+    assert c.told(Reading("wind", "wind", {"shows_heldout": 3.0}))["shows_heldout"] == 0.0
+    assert c.told(Reading("track_drift", "", {"shows_train": 3.0}))["shows_train"] == 0.0
+    assert c.told(Reading("wind", "wind", {"shows_train": 1.5, "settled": 0.0}))["shows_train"] == 0.0
+    assert scores([Reading("wind", "wind", {"shows_train": 1.5})], {}, c)[1][0] == pytest.approx(2.0)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
+def test_what_shows_is_squeezed_in_order_and_with_its_sign(a, b):
+    assert squeezed(-a) == -squeezed(a)
+    assert (squeezed(a) <= squeezed(b)) == (a <= b) or squeezed(a) == squeezed(b)
+    assert squeezed(np.e - 1) == pytest.approx(1.0)
 
 
 def test_readings_of_one_effect_add_up_and_the_better_one_is_chosen():
