@@ -25,6 +25,7 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
 FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
+DAMPINGS, UNSAID = ("dashpot_damping", "drag_damping"), 0.5  # of the spread expected beforehand: a fit that leaves more has said little
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
 
@@ -177,7 +178,9 @@ def inquire(
     progress(f"refitting {', '.join(s.hypothesis.effect for s in chosen)}")
     elsewhere = {k: _elsewhere(score, scores, replicas[0].spacing) for k, score in enumerate(chosen)}
     rivals = {k: score for k, score in elsewhere.items() if score is not None}
-    fits = refit(task, base, [*chosen, learned, *rivals.values()], iterations=preset.steps, spacing=replicas[0].spacing)
+    ranked = sorted(scores, key=promise, reverse=True) if fitted_on else ()  # a twin that is fixed leaves all of an effect to be explained
+    asked = [*chosen, learned, *rivals.values()]
+    fits = refit(task, base, asked, iterations=preset.steps, spacing=replicas[0].spacing, others=ranked)
     others = dict(zip(rivals, fits[2 + len(chosen) :], strict=True))
     base = foresighted(wide, evaluate(wide, fits[0], parts), parts)
     yardstick = Refit(learned, foresighted(wide, evaluate(wide, fits[1 + len(chosen)], parts), parts), base)
@@ -225,6 +228,13 @@ def _shown(found: Fit, recordings: int) -> float:
 
 
 def _firm(found: Fit) -> Fit:
-    """The fit with all its numbers fixed: other recordings have said what they are, and what the case adds is what is asked."""
-    none = np.zeros(0)
-    return Fit(Model(found.model.terms, found.values, ()), none, found.loss, np.zeros((0, 0)), found.history)
+    """The fit with its numbers fixed: other recordings have said what they are, and what the case adds is what is asked.
+
+    What damps it stays open where they have not said that: a body that swings in one way tells how fast that dies out, not whether the air
+    or the body takes the energy, and by another weight it matters.
+    """
+    model, left = found.model, np.sqrt(np.clip(np.diag(found.covariance), 0.0, 1.0))
+    damping = [k for k, name in enumerate(model.names) if name in DAMPINGS]
+    unsaid = any(left[k] > UNSAID for k in damping)
+    knobs = tuple(replace(model.knobs[k], start=found.values[model.names[k]]) for k in damping if unsaid)
+    return Fit(Model(model.terms, found.values, knobs), np.zeros(len(knobs)), found.loss, np.eye(len(knobs)), found.history)

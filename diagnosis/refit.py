@@ -19,6 +19,7 @@ __all__ = ["Verdictable", "evaluate", "foresighted", "refit"]
 STARTS = (0.02, 0.2, 0.6, 1.2)  # shares of the linear estimate from which a refit may begin
 TRIAL = 2  # steps after which the better of a near and a far start goes on
 DECADES = (0.5, 2.0, 8.0, 40.0)  # of a noticeable size, where one number is the effect's whole size
+ELSEWHERE = 8  # further places and shapes of a term, the best by their scores, at which far starts are looked for
 RELEASES = ({}, {"body_stiffness": 0.3}, {"drag_damping": 0.03, "dashpot_damping": 0.5})  # of what the fit had to put in its place
 
 
@@ -38,17 +39,35 @@ class Verdictable:
     foreseen: dict[str, float] = field(default_factory=dict)
 
 
-def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, spacing: float) -> list[Fit]:
-    """The baseline and each scored hypothesis, all from ``base`` with the same number of steps; shapes and places may move."""
+def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, spacing: float, others: Sequence[Score] = ()) -> list[Fit]:
+    """The baseline and each scored hypothesis, all from ``base`` with the same number of steps; shapes and places may move.
+
+    Among ``others`` are those of the same term at other places and with other shapes, best first: an effect far larger than what is linear
+    may have its best score in a wrong place, so that far starts are looked for there too.
+    """
     fits = [fit(task, base.model, base.z, iterations=iterations)]
     for score in scores:
-        h = score.hypothesis
-        model = base.model.extended({h.term}, h.values, h.knobs + h.free_knobs(spacing))
-        near, far = _starts(base, model, score)
-        tried = [fit(task, model, _best(task, model, starts), iterations=TRIAL) for starts in (near, far) if starts]
+        near, far = _starts(base, _extended(base, score, spacing), score)
+        ways = [(_extended(base, score, spacing), starts) for starts in (near, far) if starts]
+        if far and score.hypothesis.term.effect.place:
+            same = [s for s in others if s.hypothesis.term is score.hypothesis.term and s is not score][:ELSEWHERE]
+            ways[-1] = min([ways[-1], *(_far(base, s, spacing) for s in same)], key=lambda way: _costs(task, *way).min())
+        tried = [fit(task, model, starts[int(np.argmin(_costs(task, model, starts)))], iterations=TRIAL) for model, starts in ways]
         first = min(tried, key=lambda f: f.loss)
-        fits.append(fit(task, model, first.z, iterations=iterations - TRIAL))
+        fits.append(fit(task, first.model, first.z, iterations=iterations - TRIAL))
     return fits
+
+
+def _extended(base, score, spacing):
+    h = score.hypothesis
+    return base.model.extended({h.term}, h.values, h.knobs + h.free_knobs(spacing))
+
+
+def _far(base, score, spacing):
+    """The model at the score's place, and noticeable sizes there as starts."""
+    model, knob = _extended(base, score, spacing), score.hypothesis.knobs[0]
+    sign = -1.0 if score.amplitude[0] < 0 or knob.high <= 0 else 1.0
+    return model, [_at(base, model, {knob.name: sign * share * knob.spread}, {}) for share in DECADES]
 
 
 def _starts(base: Fit, model: Model, score: Score) -> tuple[list[np.ndarray], list[np.ndarray]]:
@@ -78,12 +97,11 @@ def _at(base, model, amplitudes, release):
     return z
 
 
-def _best(task, model, starts):
-    """The start with the least squared innovation: what is linear near nothing need not be so at its full size."""
+def _costs(task, model, starts):
+    """(S,) misfits of the starts, infinite where the twin blows up: what is linear near nothing need not be so at its full size."""
     steps = [max(of) for of in zip(*(task.substeps(model, z) for z in starts), strict=True)]
     found = task.residuals(task.predict(model, starts, steps))
-    costs = [task.by_frame.misfit(r) if np.isfinite(r).all() else np.inf for r in found]
-    return starts[int(np.argmin(costs))]
+    return np.array([task.by_frame.misfit(r) if np.isfinite(r).all() else np.inf for r in found])
 
 
 def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[Replica], np.ndarray] = nobody) -> Verdictable:

@@ -30,7 +30,7 @@ FIST = 0.05  # m, between points of one hand
 LOWEST = 0.05  # share of the nodes that may be lower than what lies on the ground; of a rope, whose nodes all lie alike, half
 LYING = 0.6  # node spacings: what is higher does not lie
 CELLS = 20000  # of a grid by which volumes are told
-LEAST = 0.5  # of the mean mass: what is lighter would only need shorter steps
+LEAST = 0.35  # of the mean mass: what is lighter would only need shorter steps
 NOTHING = 1e-3  # of the mean mass, of what is held and needs none
 STILL = 3.0  # start velocities below this many standard errors are noise
 
