@@ -63,7 +63,7 @@ def decided(result: dict, c: Calibration) -> dict:
     if "evidence" not in result:
         return result
     found, around = _evidence(result)
-    d = decide(found, around, c)
+    d = decide(found, around, c, result["evidence"].get("alike", ()))
     return {**result, "verdict": d.verdict, "effect": d.effect, "alternatives": list(d.alternatives), "probabilities": d.probabilities}
 
 
@@ -150,7 +150,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
             part = v[k * (len(around) + 1) : (k + 1) * (len(around) + 1)]
             biases[name] = part[0]
             context[name] = dict(zip(around, part[1:], strict=True))
-        return Calibration(weights, biases, context, null)
+        return Calibration(weights, biases, context, null=null)
 
     # Scores are affine in v: their slopes are found by asking for each unit vector once.
     offset = _scores(rows, unpack(start))
@@ -172,13 +172,13 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
         return float((all_of - right_of).mean() + ridge @ v**2), gradient
 
     # A gain never speaks against its effect, an amplitude more never for it.
-    gains = {name: (0, None) for name in FEATURES if name.split("_")[-1] in ("train", "heldout", "transfer")}
+    gains = {name: (0, None) for name in FEATURES if name.split("_")[-1] in ("train", "heldout", "transfer", "unseen")}
     bounds = [{**gains, **dict.fromkeys(SEEN, (0, SURE)), "extra": (None, 0)}.get(name, (None, None)) for name in features]
     bounds += [(None, None)] * (len(start) - len(features))
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
     weights, biases = ({k: float(v) for k, v in of.items()} for of in (c.weights, c.biases))
-    return Calibration(weights, biases, c.context, null, source=source)
+    return Calibration(weights, biases, c.context, source=source, null=null)
 
 
 def _null(rows) -> dict[str, dict[str, list[float]]]:
@@ -292,12 +292,12 @@ def thresholds(
     runs = [crossed(results, labels, seed=s) for s in seeds]
     for named in (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7):
         for both in (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
-            for sure in (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4):
+            for sure in (0.03, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4):
                 if both < named:
                     continue
                 worth = 0.0
                 for run in runs:
-                    c = Calibration({}, {}, {}, named, both, sure)
+                    c = Calibration({}, {}, {}, named=named, both=both, sure=sure)
                     s = score({k: _again(r, c) for k, r in run.items()}, labels)
                     if s["alarms"] > alarms * s["controls"]:
                         worth -= 10 * (s["alarms"] - alarms * s["controls"])
@@ -342,5 +342,5 @@ def study(folders: Sequence[Path], out: Path, *, preset: str, device: str, jobs:
 
 def _again(result, c):
     """The decision from probabilities that are there already."""
-    verdict, effect, also = verdict_of(result["probabilities"], c)
+    verdict, effect, also = verdict_of(result["probabilities"], c, result.get("evidence", {}).get("alike", ()))
     return {**result, "verdict": verdict, "effect": effect, "alternatives": list(also)}

@@ -18,7 +18,7 @@ from .locate import clusters
 from .page.document import plain
 from .planner import experiment
 from .report import write_report
-from .verdict import NONE, Calibration, Decision, calibration, context, decide, readings
+from .verdict import NONE, Calibration, Decision, alike, calibration, context, decide, readings
 
 __all__ = ["NAMES", "Diagnosis", "added_share", "diagnose"]
 
@@ -94,7 +94,8 @@ def diagnose(
     )
     found, weights = readings(inquiry), weights or calibration()
     around = context(inquiry, found)
-    decision = decide(found, around, weights)
+    pairs = alike(inquiry)
+    decision = decide(found, around, weights, pairs)
     chosen = next((r for r in inquiry.refits if decision.chosen and r.score.hypothesis.term.name == decision.chosen.term), None)
     before = inquiry.free(inquiry.base)
     after = inquiry.free(chosen.found) if chosen else None
@@ -121,6 +122,7 @@ def diagnose(
             "recordings": _recordings(inquiry),
             "readings": [{"effect": r.effect, "term": r.term, **r.features} for r in found],
             "context": around,
+            "alike": [list(pair) for pair in pairs],
             "plan": planned,
             "where_nodes": nodes,
             "twin": inquiry.base.fit.values,

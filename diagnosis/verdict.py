@@ -13,7 +13,7 @@ from .fit import floor_of
 from .hands import held_points
 from .inquiry import Inquiry, Refit
 
-__all__ = ["MEASUREMENT", "Calibration", "Decision", "Reading", "calibration", "decide", "readings"]
+__all__ = ["MEASUREMENT", "Calibration", "Decision", "Reading", "alike", "calibration", "decide", "readings"]
 
 MEASUREMENT = ("controller_delay", "camera_pose", "track_drift", "grip_points")
 MATERIAL = (
@@ -27,8 +27,10 @@ SLID = 1.0  # log of the growth of neighbour distances that deformation alone br
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
+ALIKE = 0.95  # cosine of two effects' unabsorbed directions from which on a recording can hardly tell them apart
+RIVAL = 0.25  # of the likelier one's probability that the other must have for both to be said
 NONE, OTHER = "adequate", "unknown"
-SHOWS = ("shows_train", "shows_heldout", "shows_transfer")  # told beside what the same term shows where nothing is missing
+SHOWS = ("shows_train", "shows_unseen")  # told beside what the same term shows where nothing is missing
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra", *SHOWS)
 STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
 SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen")  # without a simulation
@@ -59,19 +61,19 @@ class Calibration:
     weights   of ``FEATURES``, the same for all effects
     biases    by term: how readily it explains what is not it; those of "adequate" and "unknown" too
     context   by "adequate" and "unknown", weights of ``CONTEXT``
-    null      by term, and by "" for a term that it never met: mean and standard deviation of ``SHOWS`` where nothing is missing
     named     least probability of a name; ``both`` of the two best together; ``sure`` of "adequate" and "unknown"
     source    what it was fitted on
+    null      by term, and by "" for a term that it never met: mean and standard deviation of ``SHOWS`` where nothing is missing
     """
 
     weights: dict[str, float]
     biases: dict[str, float]
     context: dict[str, dict[str, float]]
-    null: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     named: float = 0.5
     both: float = 0.7
     sure: float = 0.5
     source: str = ""
+    null: dict[str, dict[str, list[float]]] = field(default_factory=dict)
 
     def to_json(self) -> str:
         return json.dumps(asdict(self), indent=1)
@@ -140,8 +142,7 @@ def _features(refit: Refit, transfer):
         "kept": float(np.log(max(refit.score.kept, 1e-3))),
         "extra": float(len(h.knobs)),
         "shows_train": squeezed(refit.score.shows["train"]),
-        "shows_heldout": squeezed(refit.score.shows["heldout"]),
-        "shows_transfer": float(mean([squeezed(refit.score.shows[t]) for t in transfer])) if transfer else 0.0,
+        "shows_unseen": float(mean([squeezed(refit.score.shows[part]) for part in ("heldout", *transfer)])),
     }
 
 
@@ -206,8 +207,16 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     return names, np.array(values)
 
 
-def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration) -> Decision:
-    """Weigh the readings: a name where one is likely enough, two where they are together, else what is honest."""
+def alike(inquiry: Inquiry) -> list[tuple[str, str]]:
+    """Pairs of effects that do the same to the fitted frames, in so far as no turn of the twin's own numbers does it."""
+    best = list(inquiry.best().values())
+    cosines = np.abs([[float(a.direction @ b.direction) for b in best] for a in best]) if best else np.zeros((0, 0))
+    pairs = {tuple(sorted((best[i].hypothesis.effect, best[j].hypothesis.effect))) for i, j in np.argwhere(cosines > ALIKE)}
+    return sorted(pair for pair in pairs if pair[0] != pair[1])
+
+
+def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration, pairs: Sequence[tuple[str, str]] = ()) -> Decision:
+    """Weigh the readings: a name where one is likely enough, two where they are together or ``pairs`` has them, else what is honest."""
     names, values = scores(found, around, c)
     weight = np.exp(values - values.max())
     weight /= weight.sum()
@@ -215,7 +224,7 @@ def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     for name, w in zip(names, weight, strict=True):
         chances[name] = chances.get(name, 0.0) + float(w)
     chances = dict(sorted(chances.items(), key=lambda item: -item[1]))
-    verdict, effect, also = verdict_of(chances, c)
+    verdict, effect, also = verdict_of(chances, c, pairs)
     chosen = None
     if effect:
         mine = [(v, r) for r, v in zip(found, values, strict=False) if r.effect == effect]
@@ -223,11 +232,16 @@ def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     return Decision(verdict, effect, also, chances, chosen)
 
 
-def verdict_of(chances: Mapping[str, float], c: Calibration) -> tuple[str, str | None, tuple[str, ...]]:
-    """Verdict, effect and alternatives from probabilities, largest first."""
+def verdict_of(
+    chances: Mapping[str, float], c: Calibration, pairs: Sequence[tuple[str, str]] = ()
+) -> tuple[str, str | None, tuple[str, ...]]:
+    """Verdict, effect and alternatives from probabilities, largest first; of ``pairs`` of effects neither is named without the other."""
     effects = [n for n in chances if n not in (NONE, OTHER)]
     first, second = [*effects, None, None][:2]
     nothing, other = chances[NONE], chances[OTHER]
+    rivals = second and chances[second] >= RIVAL * chances[first] and any(set(pair) == {first, second} for pair in pairs)
+    if rivals and chances[first] + chances[second] >= c.named and chances[first] > max(nothing, other):
+        return "ambiguous", first, (second,)
     if first and chances[first] >= c.named:
         return ("measurement" if first in MEASUREMENT else "missing"), first, ()
     if second and chances[first] + chances[second] >= c.both and chances[first] > nothing:

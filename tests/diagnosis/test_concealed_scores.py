@@ -194,7 +194,7 @@ def test_no_gain_ever_speaks_against_its_effect():
     results, labels = split(made_up(12, "control", gains={"wind": 3.0}) | made_up(12, "effect", effect="wind", gains={"wind": 0.0}, seed=1))
     c = calibrate(results, labels)
     assert c.weights["train"] == 0.0
-    assert all(c.weights[name] >= 0 for name in c.weights if name.split("_")[-1] in ("train", "heldout", "transfer", "seen"))
+    assert all(c.weights[name] >= 0 for name in c.weights if name.split("_")[-1] in ("train", "heldout", "transfer", "unseen", "seen"))
     assert c.weights["extra"] <= 0
 
 

@@ -1,6 +1,7 @@
 """The decision: probabilities, the rules that make a verdict of them, and the calibration that ships."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from twinbench.diagnosis.verdict import (
     STRANGE,
     Calibration,
     Reading,
+    alike,
     calibration,
     decide,
     left,
@@ -64,6 +66,29 @@ def test_the_rules_of_the_verdict(chances, verdict):
     assert verdict_of(chances, RULES) == verdict
 
 
+@pytest.mark.parametrize(
+    ("second", "pairs", "verdict"),
+    [
+        (0.30, [("gravity_tilt", "wind")], ("ambiguous", "wind", ("gravity_tilt",))),  # the same on these frames: neither without the other
+        (0.30, [["wind", "gravity_tilt"]], ("ambiguous", "wind", ("gravity_tilt",))),  # in whatever order, also as JSON has it
+        (0.30, [("creep", "wind")], ("missing", "wind", ())),
+        (0.30, [], ("missing", "wind", ())),
+        (0.12, [("gravity_tilt", "wind")], ("missing", "wind", ())),  # less than a quarter as likely: that is no rival
+    ],
+)
+def test_what_a_recording_cannot_tell_apart_is_said_together(second, pairs, verdict):
+    chances = {"wind": 0.55, "gravity_tilt": second, NONE: 0.1, OTHER: 0.35 - second}
+    assert verdict_of(chances, RULES, pairs) == verdict
+
+
+def test_effects_with_one_direction_are_alike():
+    # cosines 1, 0.8 and 0: only the first pair exceeds 0.95; two terms of one effect are no pair
+    ways = {"wind": [1.0, 0.0], "gravity_tilt": [-1.0, 0.0], "creep": [0.8, 0.6], "second": [1.0, 0.0]}
+    names = {"second": "wind"}
+    best = {t: SimpleNamespace(direction=np.array(way), hypothesis=SimpleNamespace(effect=names.get(t, t))) for t, way in ways.items()}
+    assert alike(SimpleNamespace(best=lambda: best)) == [("gravity_tilt", "wind")]
+
+
 def test_probabilities_are_a_softmax_of_weighted_features():
     # p_i = exp(s_i) / sum exp(s), s = bias + weights . features, written out
     c = Calibration({"train": 2.0, "extra": -0.5}, {"wind": 0.3, NONE: 1.0, OTHER: -1.0}, {NONE: {"floor": -0.7}, OTHER: {"learned": 0.4}})
@@ -78,12 +103,12 @@ def test_probabilities_are_a_softmax_of_weighted_features():
 
 def test_what_a_term_shows_is_told_beside_what_it_shows_where_nothing_is_missing():
     null = {"wind": {"shows_train": [1.0, 0.5]}, "": {"shows_train": [0.2, 0.1]}}
-    c = Calibration({"shows_train": 2.0}, {}, {}, null)
+    c = Calibration({"shows_train": 2.0}, {}, {}, null=null)
     assert c.told(Reading("wind", "wind", {"shows_train": 1.5}))["shows_train"] == pytest.approx(1.0)
     assert c.told(Reading("creep", "creep", {"shows_train": 0.1}))["shows_train"] == pytest.approx(-1.0)  # a term that it never met
     assert c.told(Reading("wind", "wind", {"shows_train": 1e9}))["shows_train"] == STRANGE[1]
     # nothing is told of what has no null, of what the tracks say, nor of a twin that was fitted elsewhere
-    assert c.told(Reading("wind", "wind", {"shows_heldout": 3.0}))["shows_heldout"] == 0.0
+    assert c.told(Reading("wind", "wind", {"shows_unseen": 3.0}))["shows_unseen"] == 0.0
     assert c.told(Reading("track_drift", "", {"shows_train": 3.0}))["shows_train"] == 0.0
     assert c.told(Reading("wind", "wind", {"shows_train": 1.5, "settled": 0.0}))["shows_train"] == 0.0
     assert scores([Reading("wind", "wind", {"shows_train": 1.5})], {}, c)[1][0] == pytest.approx(2.0)
