@@ -25,7 +25,7 @@ class Sightings:
     noise      m, standard deviation of one node's coordinate, white in time
     misfit     (N,) m, median distance of each track from the motion it shares with its neighbours
     wrong      (N,) bool: tracks that leave their neighbours for good (drift, swapped identities)
-    slide      by how much the distances between neighbouring tracks spread from early to late: log of the ratio of what 1 in 20 exceeds
+    slide      by how much more than their neighbours tracks leave these, late over early: log of the ratio of what 1 in 20 exceeds
     """
 
     position: np.ndarray
@@ -116,9 +116,10 @@ def sight_nodes(points, visible, nodes, *, fitted: int | None = None) -> tuple[n
 
 
 def slide_of(track, near) -> float:
-    """log of what 1 in 20 tracks has changed its distance to neighbours by, in the last quarter over in the first.
+    """log of what 1 in 20 tracks has changed its distance to neighbours by, beyond what these have, in the last quarter over in the first.
 
-    It is 0 where nothing slides.
+    A body that stretches, yields or tears moves neighbours apart from all of theirs alike; a track that slides is alone. It is 0 where
+    nothing slides.
     ``track`` (T, N, 3) m, NaN where not seen, ``near`` (N, k) its neighbours in frame 0, itself first.
     """
     near = near[:, 1:6]
@@ -128,8 +129,10 @@ def slide_of(track, near) -> float:
 
     def spread(frame):
         change = np.abs(np.linalg.norm(track[frame][:, None] - track[frame][near], axis=-1) - start)
-        change = change[np.isfinite(change).sum(1) >= 3]
-        return np.quantile(np.nanmedian(change, axis=1), 0.95) if len(change) else np.nan
+        own = np.where(np.isfinite(change).sum(1) >= 3, np.nanmedian(change, axis=1), np.nan)
+        beyond = own - np.nanmedian(own[near], axis=1)
+        beyond = beyond[np.isfinite(beyond)]
+        return np.quantile(beyond, 0.95) if len(beyond) else np.nan
 
     quarter = len(track) // 4
     with where_unseen():

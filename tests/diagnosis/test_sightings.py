@@ -54,6 +54,19 @@ def test_a_tenth_of_the_tracks_that_slide_off_is_seen():
     assert slide_of(sliding, near) > slide_of(turning(points) + noise, near) + 1.0
 
 
+def test_a_part_that_yields_is_no_track_that_slides():
+    # one half is drawn out steadily, every node of it as far from its neighbours as a sliding track gets, but so are the neighbours
+    points, near = patch()
+    noise = np.random.default_rng(1).normal(0, 2e-4, (FRAMES, 120, 3))
+    noise[0] = 0
+    sliding, yielding = turning(points) + noise, turning(points) + noise
+    sliding[:, ::10, 0] += 0.002 * np.arange(FRAMES)[:, None]
+    beyond = np.maximum(points[:, 0] - np.median(points[:, 0]), 0)
+    yielding[..., 0] += 0.05 * np.arange(FRAMES)[:, None] * beyond
+    # only where the drawn half begins do neighbours differ; that leaves 0.5 of the log between them on this patch
+    assert slide_of(yielding, near) < slide_of(sliding, near) - 0.3
+
+
 @pytest.mark.parametrize("frames", [1, 7])
 def test_too_short_a_recording_says_nothing_of_sliding(frames):
     points, near = patch()
