@@ -22,7 +22,7 @@ MATERIAL = (
 )
 # Where a twin of the same body was adequate on other recordings (priors, not fitted): log odds of an effect of its material, which a
 # recording cannot add to it; and how many times more a gain tells, as the twin's own inadequacy is known to be small.
-SETTLED, SHARPER = -20.0, 3.0
+SETTLED, SHARPER = -20.0, 4.0
 SLID = 1.0  # log of the growth of neighbour distances that deformation alone brings, creases too
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
