@@ -25,7 +25,7 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
 FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
-DAMPINGS, UNSAID = ("dashpot_damping", "drag_damping"), 0.5  # of the spread expected beforehand: a fit that leaves more has said little
+DISSIPATION, UNSAID = ("dashpot_damping", "drag_damping"), 0.5  # of the spread expected beforehand: a fit that leaves more has said little
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
 
@@ -234,7 +234,7 @@ def _firm(found: Fit) -> Fit:
     or the body takes the energy, and by another weight it matters.
     """
     model, left = found.model, np.sqrt(np.clip(np.diag(found.covariance), 0.0, 1.0))
-    damping = [k for k, name in enumerate(model.names) if name in DAMPINGS]
+    damping = [k for k, name in enumerate(model.names) if name in DISSIPATION]
     unsaid = any(left[k] > UNSAID for k in damping)
     knobs = tuple(replace(model.knobs[k], start=found.values[model.names[k]]) for k in damping if unsaid)
     return Fit(Model(model.terms, found.values, knobs), np.zeros(len(knobs)), found.loss, np.eye(len(knobs)), found.history)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib import resources
+from itertools import combinations
 
 import numpy as np
 
@@ -209,10 +210,12 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
 
 def alike(inquiry: Inquiry) -> list[tuple[str, str]]:
     """Pairs of effects that do the same to the fitted frames, in so far as no turn of the twin's own numbers does it."""
-    best = list(inquiry.best().values())
-    cosines = np.abs([[float(a.direction @ b.direction) for b in best] for a in best]) if best else np.zeros((0, 0))
-    pairs = {tuple(sorted((best[i].hypothesis.effect, best[j].hypothesis.effect))) for i, j in np.argwhere(cosines > ALIKE)}
-    return sorted(pair for pair in pairs if pair[0] != pair[1])
+    best = inquiry.best().values()
+    pairs = set()
+    for one, other in combinations(best, 2):
+        if abs(float(one.direction @ other.direction)) > ALIKE and one.hypothesis.effect != other.hypothesis.effect:
+            pairs.add(tuple(sorted((one.hypothesis.effect, other.hypothesis.effect))))
+    return sorted(pairs)
 
 
 def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration, pairs: Sequence[tuple[str, str]] = ()) -> Decision:
