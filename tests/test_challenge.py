@@ -22,7 +22,7 @@ from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
 from twinbench.datasets.concealed.case import CLEAR, CONTROLS, Case, build
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
-from twinbench.datasets.concealed.engines import ENGINES
+from twinbench.datasets.concealed.engines import ENGINES, able
 from twinbench.datasets.concealed.make import Folder, make
 from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, plan
 from twinbench.datasets.concealed.seal import Ledger, canonical, digest, folder_digest, salt_of, sealed, seed_of
@@ -53,7 +53,8 @@ def test_the_full_plan_has_what_a_verdict_on_the_tool_needs():
 @pytest.mark.parametrize("preset", [*PRESETS, TINY])
 def test_what_is_planned_can_be_drawn(preset):
     known = EFFECTS | OUTSIDE
-    for case in plan(preset, "7", engines=("one", "other")):
+    for case in plan(preset, "7", engines=tuple(ENGINES)):
+        assert able(case.engine, case.body, [] if case.kind == "control" else case.name.split("+"))
         for name in case.name.split("+") if case.kind != "control" else [case.like]:
             assert case.body in known[name].bodies
         assert case.kind != "control" or case.name in CONTROLS
@@ -64,9 +65,9 @@ def test_what_is_planned_can_be_drawn(preset):
 
 
 def test_the_same_seed_is_the_same_plan_and_another_is_another():
-    assert plan("full", "a", engines=("x",)) == plan("full", "a", engines=("x",)) != plan("full", "b", engines=("x",))
+    assert plan("full", "a", engines=("mujoco",)) == plan("full", "a", engines=("mujoco",)) != plan("full", "b", engines=("mujoco",))
     with pytest.raises(ValueError, match="unknown preset 'huge'; known: quick, full"):
-        plan("huge", "a", engines=("x",))
+        plan("huge", "a", engines=("mujoco",))
     with pytest.raises(ValueError, match="at least one engine"):
         plan("full", "a", engines=())
 
@@ -76,7 +77,7 @@ def test_body_engine_and_interactions_do_not_tell_controls():
 
     Over 8 plans there are 528 controls; a share of a third has a standard error of 2 % of all, engines of two 2.2 %; four of those.
     """
-    cases = [c for seed in range(8) for c in plan("full", str(seed), engines=("one", "other")) if c.kind != "pair"]
+    cases = [c for seed in range(8) for c in plan("full", str(seed), engines=("mujoco", "finite")) if c.kind != "pair"]
     controls, others = ([c for c in cases if (c.kind == "control") == so] for so in (True, False))
     for seen in (lambda c: c.body, lambda c: c.engine, lambda c: c.like or c.name, lambda c: round(c.clear[0], 4)):
         for value in {seen(c) for c in cases}:

@@ -9,7 +9,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
-from itertools import islice
+from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..phystwin import write_case
 from .bodies import BODIES
 from .case import CLEAR, Case, build
 from .effects import EFFECTS, OUTSIDE
-from .engines import ENGINES, engine
+from .engines import ENGINES, able, engine
 from .plan import Entry, Preset, entropy, plan
 from .seal import Ledger, digest, folder_digest, read_json, salt_of, sealed, write_json
 
@@ -153,9 +153,7 @@ def _turns(entry: Entry, engines: Sequence[str]):
     table = EFFECTS | OUTSIDE
     names = [] if entry.kind == "control" else entry.name.split("+")
     needed = [*names, *([entry.like] if entry.like else [])]
-    able = [b for b in BODIES if all(b in table[n].bodies for n in needed)]
-    k, e = able.index(entry.body), list(engines).index(entry.engine)
-    turn = 0
-    while True:
-        yield able[(k + turn) % len(able)], engines[(e + turn // len(able)) % len(engines)]
-        turn += 1
+    bodies = [b for b in BODIES if all(b in table[n].bodies for n in needed)]
+    k, e = bodies.index(entry.body), list(engines).index(entry.engine)
+    turns = [(b, by) for by in (*engines[e:], *engines[:e]) for b in (*bodies[k:], *bodies[:k]) if able(by, b, names)]
+    return cycle(turns)

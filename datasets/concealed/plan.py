@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, islice
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from .bodies import BODIES
 from .case import CLEAR, CONTROLS
 from .effects import EFFECTS, OUTSIDE
+from .engines import able
 
 __all__ = ["FLOOR", "PAIRS", "PRESETS", "Entry", "Preset", "entropy", "plan"]
 
@@ -87,10 +88,10 @@ def plan(preset: str | Preset, seed: str, *, engines: Sequence[str]) -> list[Ent
     wanted += [("pair", "+".join(p), _shared(p), None) for p in _turns(rng, PAIRS, preset.pairs)]
     first = {name: int(rng.integers(len(BODIES))) for name in sorted({w[1] for w in wanted})}
     turn, cases = Counter(), []
-    for (kind, name, able, level), engine in zip(wanted, _spread(rng, engines, len(wanted)), strict=True):
-        body = able[(first[name] + turn[name]) % len(able)]
+    for kind, name, bodies, level in wanted:
+        cases.append(Entry(kind, name, bodies[(first[name] + turn[name]) % len(bodies)], "", _band(kind, name, level), level=level))
         turn[name] += 1
-        cases.append(Entry(kind, name, body, engine, _band(kind, name, level), level=level))
+    cases = _spread(rng, cases, engines)
     others = [c for c in cases if c.kind != "pair"]
     filmed = [others[k] for k in rng.permutation(len(others))]
     for k, name in enumerate(_turns(rng, CONTROLS, preset.controls)):
@@ -105,9 +106,18 @@ def _turns(rng, names, wanted):
     return islice((names[(first + k) % len(names)] for k in count()), wanted)
 
 
-def _spread(rng, engines, wanted):
-    """As many of each engine, in an order of chance, so that an engine does not go with a size or a body."""
-    return [engines[k % len(engines)] for k in rng.permutation(wanted)]
+def _spread(rng, cases, engines):
+    """The cases with their engines: as many of each body from each engine that can, by chance, so that none goes with a name or a size."""
+    given, used = list(cases), Counter()
+    for k in rng.permutation(len(cases)):
+        case = cases[k]
+        can = [e for e in rng.permutation(list(engines)).tolist() if able(e, case.body, case.name.split("+"))]
+        if not can:
+            raise ValueError(f"none of the engines {', '.join(engines)} simulates {case.name} of a {case.body}")
+        chosen = min(can, key=lambda e: used[case.body, e])
+        used[case.body, chosen] += 1
+        given[k] = replace(case, engine=chosen)
+    return given
 
 
 def _shared(pair):
