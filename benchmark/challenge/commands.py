@@ -20,7 +20,7 @@ class Make:
     """Write a sealed set: pairs of recordings with something concealed in them, and the hashes that are published before anybody answers.
 
     cases/ is what is handed out, manifest.json what is published, sealed/ what is kept back. What is there is kept: a killed run goes on.
-    Needs MuJoCo (the extra "synthetic").
+    Needs the simulators (the extra "synthetic").
     """
 
     out: Annotated[Path, arg(metavar="DIR")]
@@ -32,7 +32,7 @@ class Make:
     beacon: str | None = None
     """Instead of a seed: a public random text that became known only after the checked-out commit; the seed is the hash of both."""
     engines: Names = ()
-    """Simulators to take the cases from, in equal shares: mujoco, finite. Default: all."""
+    """Simulators to take the cases from, of each body in equal shares: mujoco, finite, cosserat (ropes). Default: all."""
     jobs: int = 1
     """Cases that are made at the same time."""
 
