@@ -299,6 +299,20 @@ def test_static_friction_holds_what_kinetic_friction_lets_slide(extra):
     assert way == pytest.approx(slid, rel=0.1) if extra == 0 else way < 0.1 * slid
 
 
+@pytest.mark.parametrize("make", [sheet, cord])
+@pytest.mark.parametrize("degrees", [0, 45, 90])
+def test_bodies_slide_alike_in_all_directions(make, degrees):
+    tilt, mu = np.arctan(0.6), 0.3
+    body = replace(make(mass=0.02), friction=mu)
+    along = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees)), 0])
+    g = GRAVITY * (np.sin(tilt) * along - [0, 0, np.cos(tilt)])
+    vertices = simulate(body, Script("slide", (), 16), Physics(gravity=tuple(g)), settle=0.0).vertices
+    # s = g (sin - mu cos) t^2 / 2; a cord that rolled would go (1 - 1 / 3) sin / (sin - mu cos) = 1.33 times as far across its length,
+    # friction pyramids would let both go (sin - 0.7 mu cos) / (sin - mu cos) = 1.3 times as far along the diagonal
+    slid = GRAVITY * (np.sin(tilt) - mu * np.cos(tilt)) * 0.5**2 / 2
+    assert (vertices[-1] - vertices[0]).mean(axis=0) @ along == pytest.approx(slid, rel=0.08)
+
+
 def test_a_moving_table_carries_a_sheet_along():
     motion = simulate(sheet(), FREE, Physics(belt=(0.1, 0.0)))
     # Friction accelerates it at mu g = 4 m/s^2, so after settling it moves with the table: 0.1 m in a second.
