@@ -15,8 +15,8 @@ from ..motions import Script
 
 __all__ = ["World", "imported", "simulate"]
 
-TAUT = 2000.0  # E A over the rope's weight: hung by one end it is longer by a part in 4000, a cord's strands bear tension together
-COURANT = 1.0  # small step times the highest frequency of the rod; the rule blows up at 2
+TAUT = 1000.0  # E A over the weight: hung by one end a rope is longer by a part in 2000, as its strands bear tension together
+COURANT = 1.4  # small step times the highest frequency of the rod; the rule blows up at 2
 SHEAR = 0.2  # share of the critical damping of shear
 FELT = 0.05  # time over which fingers feel a pull: slip that answers a taut cord at once would chatter against its waves [s]
 SINK = 1e-5  # how far the table gives under a vertex that rests on it with its own weight alone [m]
