@@ -152,11 +152,11 @@ def candidates(rng: np.random.Generator, length: float, shapes: np.ndarray) -> l
 def _more_mass(length):
     p = {p.name: p for p in AddedMass.parameters}
     knobs = (
-        Knob("added_mass", 1.0, 1.0, 1e-4, p["added_mass"].high, log=True),
+        Knob("added_mass", 0.1, 1.0, 1e-4, p["added_mass"].high, log=True),
         Knob("added_mass_x", 0.5 * length, 0.15 * length, 0.0, length),
         Knob("added_mass_within", 0.1, 0.7, p["added_mass_within"].low, p["added_mass_within"].high, log=True),
     )
-    starts = [(a, share * length, r) for a, share, r in product((0.1, 0.5, 2.0), PLACES, (0.03, 0.1))]
+    starts = [(a, share * length, r) for a, share, r in product((0.02, 0.1, 0.4), PLACES, (0.03, 0.1))]
     return Candidate("added_mass", knobs, np.array(starts), (AddedMass,))
 
 

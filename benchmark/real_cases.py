@@ -131,8 +131,6 @@ def _row(told: Told, result: dict, found, seconds: float) -> dict:
 
 
 def _grams(found) -> float | None:
-    """Mass that the refit of ``added_mass`` puts on the beam [g]: its share of the body's own mass."""
-    from ..diagnosis.diagnose import added_share
-
+    """Mass that the refit of ``added_mass`` puts on the beam [g]."""
     refit = next((r for r in found.inquiry.refits if r.score.hypothesis.term.name == "added_mass"), None)
-    return None if refit is None else round(BEAM * added_share(found.inquiry, refit.found.fit), 1)
+    return None if refit is None else round(BEAM * refit.found.fit.values["added_mass"], 1)

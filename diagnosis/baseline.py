@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from ..physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, Springs
+from ..physics.terms import AirDrag, ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, Springs
 from ..physics.terms.braces import Braces
 from ..physics.terms.compression_softening import CompressionSoftening
 from ..physics.terms.far_springs import FarSprings
@@ -31,11 +31,13 @@ def baseline_model(replicas: list[Replica]) -> Model:
     """PhysTwin's terms and the numbers that its fit moves, its stiffness field in a few smooth modes."""
     ground = any(r.recording.ground is not None for r in replicas)
     tied = any((r.recording.grips < 0).any() for r in replicas)
-    terms = [Springs, Dashpot, ControllerSprings, Gravity, LinearDrag, Observer, StiffnessLevel, StiffnessField, MassField, LengthLevel]
+    solid = any(r.solid for r in replicas)
+    drag = AirDrag if solid else LinearDrag  # nodes that stand for unequal volumes weigh unequally, and may come to carry a load
+    terms = [Springs, Dashpot, ControllerSprings, Gravity, drag, Observer, StiffnessLevel, StiffnessField, MassField, LengthLevel]
     knobs = [
         Knob("body_stiffness", 1e3, 1.0, 1.0, 1e6, log=True),
         Knob("dashpot_damping", 3.0, 1.5, 1e-3, 200.0, log=True),
-        Knob("drag_damping", 1.0, 1.5, 1e-3, 20.0, log=True),
+        Knob(drag.parameters[0].name, 1.0, 1.5, 1e-3, 20.0, log=True),
     ]
     values = {"controller_velocity": 1.0}
     if tied:
@@ -52,11 +54,11 @@ def baseline_model(replicas: list[Replica]) -> Model:
         terms.append(FarSprings)
         knobs.append(Knob("far_share", 0.5, 1.0, 1e-3, 10.0, log=True))
         values["far_reach"] = FAR * replicas[0].spacing
-        if not any(r.solid for r in replicas):
+        if not solid:
             terms.append(CompressionSoftening)  # folds finer than the nodes give way where springs would push
             knobs.append(Knob("compression_softening", 0.5, 0.4, 0.0, 1.0, step=0.1))
-    solid = any(len(r.recording.interior) for r in replicas)
-    for field, spread in ((StiffnessField, 0.3), (MassField, 0.3 if solid else 0.15)):  # what is thin is as heavy everywhere
+    thick = any(len(r.recording.interior) for r in replicas)
+    for field, spread in ((StiffnessField, 0.3), (MassField, 0.3 if thick else 0.15)):  # what is thin is as heavy everywhere
         knobs += [Knob(p.name, 0.0, spread, p.low, p.high) for p in field.parameters]
     return Model(tuple(terms), values, tuple(knobs))
 

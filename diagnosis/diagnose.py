@@ -20,7 +20,7 @@ from .planner import experiment
 from .report import write_report
 from .verdict import NONE, Calibration, Decision, alike, calibration, context, decide, readings
 
-__all__ = ["NAMES", "Diagnosis", "added_share", "diagnose"]
+__all__ = ["NAMES", "Diagnosis", "diagnose"]
 
 NAMES = (
     *("quadratic_drag", "plate_drag", "wind", "gravity_tilt", "strain_stiffening", "compression_softening", "anisotropy", "bending"),
@@ -188,9 +188,10 @@ def _where(inquiry, chosen, change):
         centre = np.array([values[f"{effect.place}_{axis}"] for axis in "xyz"])
         reach = float(values.get(effect.within, replica.spacing))
         distance = np.linalg.norm(replica.nodes - centre, axis=1)
-        nodes = np.flatnonzero(distance < max(reach, 0.75 * replica.spacing))
         in_room = effect.name == "hidden_obstacle"
-        centroid = centre if in_room or not len(nodes) else replica.nodes[nodes].mean(0)
+        near = max(reach, 0.75 * replica.spacing, 0.0 if in_room else distance.min())  # of what lies beside the body, its nearest node
+        nodes = np.flatnonzero(distance <= near)
+        centroid = centre if in_room else replica.nodes[nodes].mean(0)
         return nodes.tolist(), {"points": replica.particles(nodes), "centroid": centroid.tolist(), "radius": reach}
     if effect.name.startswith("grip"):
         nodes = _worst_grip(inquiry.case, change)
@@ -235,7 +236,7 @@ def _when(inquiry, decision: Decision, chosen, change):
 
 
 def _parameters(chosen, inquiry):
-    """The effect's own parameters, with 90 % intervals from the curvature of the fit; of more mass also how much it is in all."""
+    """The effect's own parameters, with 90 % intervals from the curvature of the fit."""
     if chosen is None:
         return {}
     fit, hypothesis = chosen.found.fit, chosen.score.hypothesis
@@ -249,17 +250,7 @@ def _parameters(chosen, inquiry):
     for name, value in hypothesis.values.items():
         if name not in out:
             out[name] = {"value": float(value), "unit": units[name], "interval90": [float(value)] * 2}
-    if hypothesis.term.name == "added_mass":
-        share = added_share(inquiry, fit) / max(out["added_mass"]["value"], 1e-12)
-        whole = {"value": share * out["added_mass"]["value"], "unit": "of the body's mass"}
-        out["added_mass_whole"] = whole | {"interval90": [share * end for end in out["added_mass"]["interval90"]]}
     return out
-
-
-def added_share(inquiry: Inquiry, fit) -> float:
-    """Mass that a fit with ``added_mass`` puts on the case's body, over the body's own."""
-    alone, both = (inquiry.simulators[0].masses(fit.model.terms, {**fit.values, **off}).sum() for off in ({"added_mass": 0.0}, {}))
-    return float(both / alone - 1)
 
 
 def _detectable(inquiry):

@@ -25,7 +25,6 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
 FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
-DISSIPATION, UNSAID = ("dashpot_damping", "drag_damping"), 0.5  # of the spread expected beforehand: a fit that leaves more has said little
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
 
@@ -228,13 +227,5 @@ def _shown(found: Fit, recordings: int) -> float:
 
 
 def _firm(found: Fit) -> Fit:
-    """The fit with its numbers fixed: other recordings have said what they are, and what the case adds is what is asked.
-
-    What damps it stays open where they have not said that: a body that swings in one way tells how fast that dies out, not whether the air
-    or the body takes the energy, and by another weight it matters.
-    """
-    model, left = found.model, np.sqrt(np.clip(np.diag(found.covariance), 0.0, 1.0))
-    damping = [k for k, name in enumerate(model.names) if name in DISSIPATION]
-    unsaid = any(left[k] > UNSAID for k in damping)
-    knobs = tuple(replace(model.knobs[k], start=found.values[model.names[k]]) for k in damping if unsaid)
-    return Fit(Model(model.terms, found.values, knobs), np.zeros(len(knobs)), found.loss, np.eye(len(knobs)), found.history)
+    """The fit with its numbers fixed: other recordings have said what they are, and what the case adds is what is asked."""
+    return Fit(Model(found.model.terms, found.values, ()), np.zeros(0), found.loss, np.eye(0), found.history)

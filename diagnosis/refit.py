@@ -20,7 +20,8 @@ STARTS = (0.02, 0.2, 0.6, 1.2)  # shares of the linear estimate from which a ref
 TRIAL = 2  # steps after which the better of a near and a far start goes on
 DECADES = (0.5, 2.0, 8.0, 40.0)  # of a noticeable size, where one number is the effect's whole size
 ELSEWHERE = 8  # further places and shapes of a term, the best by their scores, at which far starts are looked for
-RELEASES = ({}, {"body_stiffness": 0.3}, {"drag_damping": 0.03, "dashpot_damping": 0.5})  # of what the fit had to put in its place
+DAMPED = {"drag_damping": 0.03, "air_drag": 0.03, "dashpot_damping": 0.5}
+RELEASES = ({}, {"body_stiffness": 0.3}, DAMPED)  # of what the fit had to put in its place
 
 
 @dataclass(frozen=True)

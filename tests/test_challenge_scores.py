@@ -50,7 +50,7 @@ def tracks(*points, at=(0.0, 0.0, 0.0)):
     return {"points": list(points), "centroid": list(at), "radius": 0.02}
 
 
-HEAVY = label("effect", "added_mass", place=(0.0, 0.03, 0.04), points=[1, 2, 3, 4], onset=10, parameters={"factor": 3.0})
+HEAVY = label("effect", "added_mass", place=(0.0, 0.03, 0.04), points=[1, 2, 3, 4], onset=10, parameters={"added_g": 10.0})
 WINDY = label("effect", "wind", parameters={"coefficient_kg_m3": 0.4, "velocity_m_s": [2.0, 0.0, 0.0]})
 MIXED = [label("effect", "wind", parameters={}), label("effect", "bending", parameters={})]
 CASES = [
@@ -66,7 +66,7 @@ CASES = [
             "added_mass",
             where=tracks(3, 4, 5, 6),
             when=[20, 50],
-            parameters={"added_mass": (2.4, 1.5, 3.0)},
+            parameters={"added_mass": (1.2, 0.75, 1.5)},
             transfer=(0.010, 0.006),
         ),
     ),
@@ -120,7 +120,7 @@ FIGURES = {f.name: f for f in figures(ROWS)}
         ("place and time F1", 2 * 60 / 280, 1),
         ("place, distance", 0.05, 1),
         ("onset, difference", 10, 1),
-        # added mass 2.4 for 2 (a factor of 3); wind 3 for 0.4 x 0.05 / 0.02 x 2^2 = 4
+        # added mass 1.2 for 1 (10 g on 10 g); wind 3 for 0.4 x 0.05 / 0.02 x 2^2 = 4
         ("amplitude, error", (0.2 + 0.25) / 2, 2),
         ("amplitude, 90 % intervals that cover", 1.0, 1),
         # 4 of 8 mm, and 1 of 4 mm
@@ -178,6 +178,7 @@ def test_true_sizes_in_the_twins_units():
     assert of("gravity_tilt", gravity_m_s2=leaning) == pytest.approx(2 * GRAVITY * np.sin(tilt / 2))  # a chord of the circle
     assert of("controller_delay", frames=3) == pytest.approx(0.1)
     assert of("creep", time_s=0.5) == pytest.approx(2.0)
+    assert of("added_mass", added_g=4.0) == pytest.approx(4 / 16)  # the label weighs the body with what was added
     assert of("rest_shape", strain=-0.05) == pytest.approx(np.log(1 / 0.95))
     assert of("grip_points", shift_m=[0.03, 0.0, 0.04]) == pytest.approx(0.05)
     assert np.isnan(of("bending", factor=30.0)) and np.isnan(physical({"effect": "wind", "parameters": {}}, {}))
@@ -222,7 +223,7 @@ def test_tables_have_every_case_once():
 def test_what_an_answer_leaves_out_is_not_counted():
     """Who is told, and other programs, give no intervals, clusters or errors."""
     bare = {"verdict": "missing", "effect": "added_mass", "alternatives": [], "probabilities": {"added_mass": 1.0}}
-    rows = [Row("x", HEAVY, bare | {"parameters": {"added_mass": {"value": 2.0}}}), Row("y", label("control"), {"verdict": "adequate"})]
+    rows = [Row("x", HEAVY, bare | {"parameters": {"added_mass": {"value": 1.0}}}), Row("y", label("control"), {"verdict": "adequate"})]
     found = {f.name: f for f in figures(rows)}
     assert found["amplitude, error"].value == 0 and found["amplitude, 90 % intervals that cover"].cases == 0
     assert found["place F1"].value == 0  # there is a place, and it was not said

@@ -16,6 +16,7 @@ from twinbench.physics.facets import solid_facets
 from twinbench.physics.system import System
 from twinbench.physics.terms import (
     AddedMass,
+    AirDrag,
     Anisotropy,
     CompressionSoftening,
     ControllerDelay,
@@ -105,6 +106,13 @@ def rest_place(system, *, dt=1e-3, seconds=20.0, settle=4.0):
 # ---------------------------------------------------------------- air and gravity
 
 
+def test_air_drag_slows_what_is_light_and_less_what_is_heavy():
+    # m dv/dt = -c v by the step v <- v (1 - c dt / m): v_n = v0 (1 - c dt / m)^n
+    c, dt, n, masses = 2.0, 1e-3, 500, np.array([0.5, 4.0])
+    _, v = end(body(np.zeros((2, 3)), AirDrag, masses=masses, velocities=np.full((2, 3), [3.0, 0, -1.0]), air_drag=c), dt, n)
+    np.testing.assert_allclose(v, [3.0, 0, -1.0] * ((1 - c * dt / masses) ** n)[:, None], rtol=1e-12)
+
+
 def test_quadratic_drag_slows_as_the_drag_equation_says():
     # dv/dt = -c v^2: v = v0 / (1 + c v0 t), which the step solves exactly, so at any dt
     c, v0, dt, n = 0.7, np.array([3.0, -4.0, 0.0]), 0.01, 200
@@ -183,19 +191,23 @@ def test_a_heavier_end_swings_slower():
     # w^2 = Y / (L0 m (1 + a)); the step's solution from rest is x_n = A cos((n + 1/2) th) / cos(th / 2) with th = 2 asin(w dt / 2)
     a, mass, stiffness, dt, n = 1.5, 2.0, 30.0, 1e-3, 3000
     place = dict(added_mass_x=0.6, added_mass_within=0.03)  # 0.6 m = 20 reaches from the held end
-    system = hanging(AddedMass, length=0.6, mass=mass, stiffness=stiffness, rest=[0.5], direction=(1, 0, 0), added_mass=a, **place)
+    place["added_mass"] = a * mass / (1 + mass)  # the held end has a mass of 1
+    system = hanging(AddedMass, length=0.6, mass=mass, stiffness=stiffness, rest=[0.5], direction=(1, 0, 0), **place)
     theta = 2 * np.arcsin(np.sqrt(stiffness / (0.5 * mass * (1 + a))) * dt / 2)
     x = steps(system, dt, n)[:, 1, 0] - 0.5
     np.testing.assert_allclose(x, 0.1 * np.cos((np.arange(n + 1) + 0.5) * theta) / np.cos(theta / 2), rtol=0, atol=ROUNDING)
 
 
 def test_added_mass_weighs_and_is_where_it_is_said_to_be():
-    # Y e = m (1 + a) g; a particle r away gets exp(-1/2) of a, and one far away nothing
-    z = rest_place(hanging(AddedMass, stiffness=98.0, gravity_z=-G, added_mass=2.0, added_mass_z=-0.5, added_mass_within=0.02))[2]
+    # Y e = (m + a M) g, M = 2 m with the held end; a M is shared out by own mass and nearness: exp(-1/2) at r, next to nothing far away
+    z = rest_place(hanging(AddedMass, stiffness=98.0, gravity_z=-G, added_mass=1.0, added_mass_z=-0.5, added_mass_within=0.02))[2]
     assert z == pytest.approx(-0.5 * (1 + 3 * G / 98), abs=SETTLED)
     x = [[0, 0, 0], [0.1, 0, 0], [0, 0, 5.0]]
     mass = prepared(body(x, AddedMass, masses=[1, 2, 3], added_mass=0.5, added_mass_within=0.1)).mass
-    np.testing.assert_allclose(mass, [1.5, 2 * (1 + 0.5 * np.exp(-0.5)), 3], rtol=1e-14)
+    share = np.array([1, 2 * np.exp(-0.5), 0])
+    np.testing.assert_allclose(mass, [1, 2, 3] + 0.5 * 6 * share / share.sum(), rtol=1e-14)
+    mass = prepared(body(x, AddedMass, masses=[1, 2, 3], added_mass=0.5, added_mass_within=0.001, added_mass_z=9.0)).mass
+    np.testing.assert_allclose(mass, [1, 2, 6], rtol=1e-14)  # 4 m and 4000 reaches from the nearest, which takes all
 
 
 def test_anisotropy_by_direction():

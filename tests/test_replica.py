@@ -141,6 +141,8 @@ def test_masses_are_told_as_the_setup_terms_make_them():
     replica = build_replica(held_block(), nodes=40)
     place, reach = np.array([0.2, 0.02, 0.02]), 0.03
     values = {"added_mass": 2.0, "added_mass_within": reach, **{f"added_mass_{a}": c for a, c in zip("xyz", place, strict=True)}}
-    # m (1 + a exp(-|x - c|^2 / 2 r^2)); float32
-    share = np.exp(-((replica.nodes - place) ** 2).sum(1) / (2 * reach**2))
-    np.testing.assert_allclose(Simulator(replica).masses((AddedMass,), values), replica.system.masses * (1 + 2 * share), rtol=1e-5)
+    # m + 2 M m s / sum(m s), s = exp(-|x - c|^2 / 2 r^2); float32
+    mass = replica.system.masses
+    share = mass * np.exp(-((replica.nodes - place) ** 2).sum(1) / (2 * reach**2))
+    wanted = mass + 2 * mass.sum() * share / share.sum()
+    np.testing.assert_allclose(Simulator(replica).masses((AddedMass,), values), wanted, rtol=1e-5)

@@ -152,7 +152,7 @@ def physical(part: Mapping, label: Mapping) -> float:
         "viscoelastic": lambda: given["ratio"],  # E (1 + r exp(-t / tau))
         "creep": lambda: 1 / given["time_s"],  # stress falls as exp(-t / tau), springs' as exp(-r t)
         "rest_shape": lambda: abs(np.log1p(given["strain"])),
-        "added_mass": lambda: given["factor"] - 1,
+        "added_mass": lambda: given["added_g"] / (1000 * body["mass_kg"] - given["added_g"]),
         "controller_delay": lambda: given["frames"] / FPS,
         "grip_points": lambda: np.linalg.norm(given["shift_m"]),
     }

@@ -1,6 +1,7 @@
 """The physics that a system can have: one term, one file. Removing a term from a system's list removes that physics."""
 
 from .added_mass import AddedMass
+from .air_drag import AirDrag
 from .anisotropy import Anisotropy
 from .base import Effect, Term
 from .bending import Bending
@@ -43,6 +44,7 @@ from .wind import Wind
 
 __all__ = [
     "AddedMass",
+    "AirDrag",
     "Anisotropy",
     "Bending",
     "BendingDamping",
