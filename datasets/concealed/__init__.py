@@ -1,7 +1,7 @@
 """Pairs of recordings of one object in which a physical effect, a fault of measurement or nothing is concealed.
 
-MuJoCo, implicit finite elements or, of ropes, PyElastica's Cosserat rods simulate them (``ENGINES``), with laws of their own or with
-forces computed in their state at every step, not the engine of this project.
+MuJoCo, implicit finite elements, of ropes PyElastica's Cosserat rods or, of other bodies, Newton simulate them (``ENGINES``), with laws of
+their own or with forces computed in their state at every step, not the engine of this project.
 The folders hold what a user would believe; what was concealed stands in one file beside them.
 """
 

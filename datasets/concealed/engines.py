@@ -14,7 +14,7 @@ from .bodies import BODIES
 
 __all__ = ["ENGINES", "able", "engine"]
 
-ENGINES = {"mujoco": "engine", "finite": "finite", "cosserat": "cosserat"}
+ENGINES = {"mujoco": "engine", "finite": "finite", "cosserat": "cosserat", "newton": "newton_bodies"}
 
 
 def engine(name: str) -> ModuleType:

@@ -1,0 +1,225 @@
+"""The world of a simulation by Newton, as laws see it, and the march through a script."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..bodies import Body
+from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Step, Unstable
+from ..finite.shells import Creases
+from ..motions import Script
+from .material import Bends, Elements
+from .scene import Scene
+
+__all__ = ["World", "simulate"]
+
+ITERATIONS = 6  # of vertex block descent in a step: with twice as many, what can be predicted at all moves by a tenth of a millimetre
+
+
+class World:
+    """The running simulation, as laws see it: ``body``, its ``gripped`` vertices, ``start`` (V, 3), ``dt`` [s] and ``events``.
+
+    anchors    (G, 3) where the gripped vertices are held, in their hands' axes [m]; writable
+    rotations  (H, 3, 3) and places (H, 3) of the hands
+    """
+
+    def __init__(self, body: Body, script: Script, physics: Physics, steps: int):
+        if body.dim == 1:
+            raise ValueError(f"the engine 'newton' simulates cloth and plush, got a {body.kind}")
+        self.body, self.physics, self.dt, self.events = body, physics, 1 / (FPS * steps), {}
+        self.start = body.vertices + [0, 0, body.radius]
+        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
+        self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
+        self.rotations, self.places = np.tile(np.eye(3), (len(self.gripped), 1, 1)), np.array(self.origins).reshape(-1, 3)
+        self.held = np.isin(np.arange(len(self.start)), np.concatenate([*self.gripped, []]))
+        self.mass, self.x, self.v = body.mass.copy(), self.start.copy(), np.zeros_like(self.start)
+        self.last = -self.dt * np.tile(physics.gravity, (len(self.x), 1))  # as if it had fallen freely before
+        self.before, self.external, self.soft = self.x, np.zeros_like(self.x), {}
+        self.elements = Elements(body, _poses(body))
+        self.bends = Bends(body, Creases(body)) if body.dim == 2 else None
+        self.own = np.ones(len(body.elements)) if body.stiffness is None else body.stiffness
+        self.scale, self.whole, self.scene = self.own.copy(), np.ones(len(body.elements)), None
+        self.intact = np.ones(len(self.bends.length)) if self.bends else 1.0
+
+    # --- what laws ask and do ---------------------------------------------------------------------------------------------------------
+
+    def positions(self) -> np.ndarray:
+        return self.x
+
+    def velocities(self) -> np.ndarray:
+        return self.v
+
+    def set_mass(self, mass: np.ndarray) -> None:
+        """Masses (V,) [kg] of the vertices from now on."""
+        self.mass = np.array(mass, float)
+        self._weigh()
+
+    def rotation(self, hand: int) -> np.ndarray:
+        """(3, 3) the hand's axes in the room."""
+        return self.rotations[hand]
+
+    def grip_force(self, hand: int) -> np.ndarray:
+        """(3,) with which the body pulled at ``hand`` in the last step [N], without the inertia of what it holds."""
+        if hand in self.soft:
+            return -self.soft[hand]
+        held = self.gripped[hand]
+        force = self.elements.pull(self.x, self.before, self.dt, self.scale * self.whole)
+        if self.bends:
+            force += self.bends.pull(self.x, self.before, self.dt, self.intact)
+        return (force + self.external + self.mass[:, None] * self.physics.gravity)[held].sum(axis=0)
+
+    def table_force(self) -> np.ndarray:
+        """(V,) normal forces of the table and of obstacles in the last step [N]."""
+        return np.where(self.held, 0, self.scene.pressed())
+
+    def strain(self, x: np.ndarray) -> np.ndarray:
+        """(E,) largest principal strains of the elements, without sign."""
+        return np.abs(np.linalg.eigvalsh(self.elements.strain(x))).max(axis=1)
+
+    def dilation(self, x: np.ndarray) -> np.ndarray:
+        """(E,) mean strains of the elements."""
+        return np.trace(self.elements.strain(x), axis1=1, axis2=2) / self.body.dim
+
+    def stiffen(self, factor) -> None:
+        """Elements (E,) or all are ``factor`` times as stiff as at rest from now on."""
+        self.scale = np.broadcast_to(np.multiply(self.own, factor), self.own.shape).copy()
+        self._tell()
+
+    def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf) -> Step:
+        """A spring of ``ratio`` times the stiffness beside every element, in series with a damper or a slider: more elements over them."""
+        self.elements.add(ratio, tau=tau, limit=limit)
+        if self.bends and np.isfinite(limit):  # sheets rub where they bend, too
+            self.bends.add(ratio, tau=tau, limit=limit)
+        return lambda time, x, v: None
+
+    def creep(self, tau: float) -> Step:
+        """All elastic shear and bending flows away with the time constant ``tau`` [s]; the volume stays."""
+        for part in (self.elements, self.bends) if self.bends else (self.elements,):
+            part.layers[0].tau = tau
+        return lambda time, x, v: None
+
+    def prestrain(self, strain: float) -> None:
+        """Elements would be longer by ``strain`` at rest than they were laid down."""
+        self.elements.layers[0].resting /= 1 + strain
+
+    def soften_grip(self, hand: int, stiffness: float, damping: float) -> Step:
+        """A hand that holds its vertices by a spring [N/m] and a damper [N s/m] together: a step of a law."""
+        held, first, before = self.gripped[hand], sum(map(len, self.gripped[:hand])), []
+        self.held[held] = False
+
+        def step(time, x, v):
+            there = self.places[hand] + self.anchors[first : first + len(held)] @ self.rotations[hand].T
+            pace = (there - before.pop()) / self.dt if before else 0.0
+            before.append(there)
+            force = np.zeros_like(x)
+            force[held] = (stiffness * (there - x[held]) + damping * (pace - v[held])) / len(held)
+            self.soft[hand] = force.sum(axis=0)
+            return force
+
+        return step
+
+    def cut(self, elements: np.ndarray) -> None:
+        """``elements`` carry nothing from now on."""
+        self.whole[elements] = 0
+        if self.bends:
+            self.intact[np.isin(self.bends.creases.sides, elements).any(axis=1)] = 0
+        self._tell()
+
+    def stick(self, extra: float, speed: float) -> Step:
+        """Friction that is higher at rest: on top of Coulomb's, ``extra`` exp(-(v / speed)^2) of the normal force, against v."""
+
+        def step(time, x, v):
+            slide = v * [1, 1, 0]
+            fast = np.linalg.norm(slide, axis=1, keepdims=True)
+            most = extra * np.exp(-np.square(fast / speed)) * self.table_force()[:, None]
+            # No friction turns a velocity round within a step.
+            return -np.minimum(most / np.maximum(fast, 1e-12), 0.5 * self.mass[:, None] / self.dt) * slide
+
+        return step
+
+    # --- a step -----------------------------------------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Laws have said what they want: give it to Newton."""
+        self.scene = Scene(self.body, self.start, self.elements, self.bends, self.physics, self.dt, ITERATIONS)
+        self._tell()
+        self._weigh()
+
+    def step(self, targets: np.ndarray, external: np.ndarray) -> None:
+        """Advance by ``dt``: held vertices to ``targets`` (G, 3) [m], under ``external`` forces (V, 3) [N]."""
+        scene, dt = self.scene, self.dt
+        self.external, self.before = external, self.x
+        force = external - self.body.drag * self.mass[:, None] * self.v
+        if np.any(self.body.fibre):
+            force += self.elements.drawn(self.x)
+        goal = self.x.copy()
+        goal[np.concatenate([*self.gripped, []]).astype(int)] = targets
+        held = self.held[:, None]
+        scene.q[:] = self.x
+        scene.force[:] = np.where(held, 0, force)
+        scene.qd[:] = np.where(held, (goal - self.x) / dt - dt * np.array(self.physics.gravity), self.v)
+        scene.step(np.where(held, goal - self.x, dt * (2 * self.v - self.last)))
+        self.last, self.v = self.v, scene.moved.astype(float) / dt
+        self.x = self.x + dt * self.v
+        flowing = [part for part in (self.elements, self.bends) if part and any(layer.flows for layer in part.layers)]
+        for part in flowing:
+            part.flow(self.x, dt)
+        if flowing:
+            self._tell()
+
+    def _tell(self):
+        if self.scene:
+            self.scene.tell(self.scale * self.whole, self.intact)
+
+    def _weigh(self):
+        if self.scene:
+            self.scene.weigh(self.mass, self.held)
+
+
+def simulate(body: Body, script: Script, physics: Physics | None = None, *, substeps: int = 32, settle: float = SETTLE) -> Motion:
+    """``script.frames`` frames of ``body`` with ``substeps`` steps each, after ``settle`` seconds in closed grips.
+
+    Raises Unstable where the solution blows up, ValueError for a rope and where Newton is not installed.
+    """
+    world = World(body, script, physics or Physics(), substeps)
+    steps, settle = (script.frames - 1) * substeps, round(settle / world.dt)
+    paths = [hand.path((np.arange(-settle, steps + 2)) * world.dt) for hand in script.hands]
+    laws = [law(world) for law in world.physics.laws]
+    world.begin()
+    firsts = np.cumsum([0, *map(len, world.gripped)])
+    frames = []
+    for step in range(settle + steps + 1):
+        if step >= settle and (step - settle) % substeps == 0:
+            frames.append(world.x)
+        if not np.abs(world.v).max() < FASTEST:
+            raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: it blew up")
+        _put(world, paths, step)
+        time = (step - settle) * world.dt
+        external = sum((f for law in laws if (f := law(time, world.x, world.v)) is not None), np.zeros_like(world.x))
+        _put(world, paths, step + 1)
+        held = [
+            place + world.anchors[a:b] @ turn.T
+            for place, turn, a, b in zip(world.places, world.rotations, firsts, firsts[1:], strict=False)
+        ]
+        world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
+    sampled = settle + np.arange(script.frames) * substeps
+    return Motion(
+        np.array(frames),
+        np.array([origin + moves[sampled] for origin, (moves, _) in zip(world.origins, paths, strict=True)]),
+        np.array([turns[sampled] for _, turns in paths]),
+        world.gripped,
+        {name: round(time * FPS) for name, time in world.events.items()},
+    )
+
+
+def _put(world, paths, step):
+    """The hands where they are at a step."""
+    world.places = np.array([o + moves[step] for o, (moves, _) in zip(world.origins, paths, strict=True)]).reshape(-1, 3)
+    world.rotations = np.array([turns[step] for _, turns in paths]).reshape(-1, 3, 3)
+
+
+def _poses(body):
+    """(K, d, d) inverses of the rest edges: of a triangle in axes of which the first goes along its first edge."""
+    edges = np.swapaxes(body.vertices[body.elements[:, 1:]] - body.vertices[body.elements[:, :1]], 1, 2)  # (K, 3, d)
+    return np.linalg.inv(edges if body.dim == 3 else np.linalg.qr(edges)[1])
