@@ -32,7 +32,7 @@ class Make:
     beacon: str | None = None
     """Instead of a seed: a public random text that became known only after the checked-out commit; the seed is the hash of both."""
     engines: Names = ()
-    """Simulators to take the cases from, of each body in equal shares: mujoco, finite, cosserat (ropes), newton (cloths and plush). Default: all."""
+    """Simulators to take the cases from, of each body in equal shares: mujoco, finite, cosserat (ropes), newton (others). Default: all."""
     jobs: int = 1
     """Cases that are made at the same time."""
 

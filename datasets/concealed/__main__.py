@@ -56,7 +56,7 @@ def main(arguments=None) -> None:
     parser.add_argument("--bodies", nargs="+", choices=("cloth", "plush", "rope"), default=("cloth", "plush", "rope"))
     parser.add_argument("--only", nargs="+", choices=tuple(EFFECTS), help="effects to choose from")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
-    parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes alone")
+    parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     cases = plan(options.seed, options.effects, options.controls, options.outside, bodies=options.bodies, only=options.only)
