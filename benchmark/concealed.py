@@ -12,7 +12,22 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnosis.verdict import CONTEXT, FEATURES, NONE, OTHER, SEEN, SHOWS, Calibration, Reading, decide, scores, shown, verdict_of
+from ..diagnosis.verdict import (
+    CONTEXT,
+    FEATURES,
+    NONE,
+    OTHER,
+    SEEN,
+    SHOWS,
+    USUAL,
+    Calibration,
+    Reading,
+    decide,
+    kind_of,
+    scores,
+    shown,
+    verdict_of,
+)
 from .challenge.answering import each
 from .challenge.truths import Row
 
@@ -137,7 +152,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     terms = sorted({r.key for found, _, _ in rows for r in found})
     features = (*FEATURES, *SEEN)
     around = list(CONTEXT)
-    null = _null(rows)
+    null, usual = _null(rows), _usual(rows)
     start = np.zeros(len(features) + len(terms) + 2 * (len(around) + 1))
 
     def unpack(v):
@@ -150,7 +165,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
             part = v[k * (len(around) + 1) : (k + 1) * (len(around) + 1)]
             biases[name] = part[0]
             context[name] = dict(zip(around, part[1:], strict=True))
-        return Calibration(weights, biases, context, null=null)
+        return Calibration(weights, biases, context, null=null, usual=usual)
 
     # Scores are affine in v: their slopes are found by asking for each unit vector once.
     offset = _scores(rows, unpack(start))
@@ -178,33 +193,44 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
     weights, biases = ({k: float(v) for k, v in of.items()} for of in (c.weights, c.biases))
-    return Calibration(weights, biases, c.context, source=source, null=null)
+    return Calibration(weights, biases, c.context, source=source, null=null, usual=usual)
 
 
 def _null(rows) -> dict[str, dict[str, list[float]]]:
-    """By term, and over all by "": mean and standard deviation of what readings show where nothing is missing.
-
-    Each term's are drawn to those of all, as if it had been seen ``POOLED`` times more.
-    """
+    """By term, and over all by "": mean and standard deviation of what readings show where nothing is missing."""
     seen: dict[str, list] = {}
     for found, _, true in rows:
         for r in found:
             if r.term and true == NONE and all(name in r.features for name in SHOWS):
                 seen.setdefault(r.key, []).append([r.features[name] for name in SHOWS])
+    return _spreads(seen, SHOWS, POOLED)
+
+
+def _usual(rows) -> dict[str, dict[str, list[float]]]:
+    """By kind of body, and over all by "": mean and standard deviation of errors and gains where nothing is missing."""
+    seen: dict[str, list] = {}
+    for _, around, true in rows:
+        if true == NONE and all(name in around for name in USUAL):
+            seen.setdefault(kind_of(around), []).append([around[name] for name in USUAL])
+    return _spreads(seen, USUAL, 1.0)
+
+
+def _spreads(seen, names, pooled):
+    """By key, and over all by "", mean and standard deviation; each key's are drawn to those of all as if those were ``pooled`` more."""
     if not seen:
         return {}
     every = np.concatenate([np.array(v) for v in seen.values()])
     middle, width = every.mean(0), np.maximum(every.std(0), 1e-3)
-    out = {"": _by_name(middle, width)}
+
+    def told(mean, deviation):
+        return {name: [round(float(m), 4), round(float(d), 4)] for name, m, d in zip(names, mean, deviation, strict=True)}
+
+    out = {"": told(middle, width)}
     for key, values in seen.items():
-        share = len(values) / (len(values) + POOLED)
+        share = len(values) / (len(values) + pooled)
         mean = share * np.mean(values, 0) + (1 - share) * middle
-        out[key] = _by_name(mean, np.sqrt(share * np.var(values, 0) + (1 - share) * width**2))
+        out[key] = told(mean, np.sqrt(share * np.var(values, 0) + (1 - share) * width**2))
     return out
-
-
-def _by_name(mean, deviation):
-    return {name: [round(float(m), 4), round(float(d), 4)] for name, m, d in zip(SHOWS, mean, deviation, strict=True)}
 
 
 def _scores(rows, c: Calibration) -> np.ndarray:

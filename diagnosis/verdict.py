@@ -35,7 +35,9 @@ SHOWS = ("shows_train", "shows_unseen")  # told beside what the same term shows 
 FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra", *SHOWS)
 STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
 SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen")  # without a simulation
-CONTEXT = ("learned", "best", "floor", "unforeseen", "chain", "sheet")
+KINDS = ("chain", "sheet", "solid")
+USUAL = ("learned", "best", "misfit", "unforeseen")  # told beside what is usual of a kind of body where nothing is missing
+CONTEXT = ("chain", "sheet", *(f"{name}_{kind}" for name in USUAL for kind in KINDS))
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class Calibration:
     named     least probability of a name; ``both`` of the two best together; ``sure`` of "adequate" and "unknown"
     source    what it was fitted on
     null      by term, and by "" for a term that it never met: mean and standard deviation of ``SHOWS`` where nothing is missing
+    usual     by kind of body, and by "" for all, the same of ``USUAL``: how well twins of it do when they lack nothing
     """
 
     weights: dict[str, float]
@@ -75,6 +78,7 @@ class Calibration:
     sure: float = 0.5
     source: str = ""
     null: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+    usual: dict[str, dict[str, list[float]]] = field(default_factory=dict)
 
     def to_json(self) -> str:
         return json.dumps(asdict(self), indent=1)
@@ -90,6 +94,18 @@ class Calibration:
             mean, deviation = null.get(name, (0.0, 0.0))
             usable = reading.term and deviation > 0 and name in out and "settled" not in out
             out[name] = float(np.clip((out[name] - mean) / deviation, *STRANGE)) if usable else 0.0
+        return out
+
+    def surroundings(self, around: Mapping[str, float]) -> dict[str, float]:
+        """The context as the weights take it: ``USUAL`` in standard deviations from what is usual of its kind of body, whose weights are
+        its own. A twin of a sound stuffed body is hardly ever off, that of a cloth often is.
+        """
+        kind = kind_of(around)
+        usual = self.usual.get(kind, self.usual.get("", {}))
+        out = {k: v for k, v in around.items() if k not in USUAL}
+        for name in USUAL:
+            mean, deviation = usual.get(name, (0.0, 1.0))
+            out[f"{name}_{kind}"] = float(np.clip((around.get(name, mean) - mean) / deviation, *STRANGE))
         return out
 
 
@@ -175,24 +191,32 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
-    """What speaks for nothing or for something else: gains of a nameless force field and the best reading, errors, and the kind of body."""
+    """What speaks for nothing or for something else: gains of a nameless force field and of the best reading, logs of errors over the
+    distance between nodes, and the kind of body.
+    """
     others = [part for part in inquiry.parts if part.name != "train"]
     gains = [left(inquiry.yardstick.gain(part.name, "foreseen")) for part in others]
-    noise = max(inquiry.case.sightings.noise, 1e-4)
-    floor = float(np.log(np.sqrt(inquiry.base.observed["train"] / 3) / noise))
     best = max([_worth(r.features) for r in found if r.term], default=0.0)
     asked = {p.name: floor_of(inquiry.simulators[p.index].replica, inquiry.finest) for p in inquiry.parts}
     excess = [np.log(inquiry.base.observed[name] / size) for name, size in asked.items()]
-    missed = [np.log(inquiry.base.foreseen[p.name] / asked[p.name]) for p in others]
+    width = 3 * inquiry.case.spacing**2
+    unforeseen = np.mean([np.log(inquiry.base.foreseen[p.name] / width) / 2 for p in others])
+    misfit = np.log(inquiry.base.observed["train"] / width) / 2
     chain = bool(inquiry.case.system.chains)
     sheet = not chain and not len(inquiry.case.recording.interior)
-    around = {"learned": np.mean(gains), "best": best, "floor": floor, "unforeseen": np.clip(np.mean(missed), 0.0, 10.0)}
+    around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen}
     return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(max(excess) < FINE)}
+
+
+def kind_of(around: Mapping[str, float]) -> str:
+    """Chain, sheet or solid."""
+    return next((kind for kind in KINDS[:2] if around.get(kind)), KINDS[2])
 
 
 def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration) -> tuple[list[str], np.ndarray]:
     """Names and scores (log odds) of the readings, then of "adequate" and "unknown"."""
     names, values = [], []
+    around = c.surroundings(around)
     # a term that the calibration never met is as doubtful as the most doubtful of those it did
     doubt = min((0.0, *(b for key, b in c.biases.items() if key not in (NONE, OTHER))))
     for reading in found:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.concealed import answers, by_effect, calibrate, closed, crossed, decided, markdown, score, study, truth
-from twinbench.diagnosis.verdict import FEATURES, NONE, OTHER, Calibration, decide
+from twinbench.diagnosis.verdict import FEATURES, NONE, OTHER, USUAL, Calibration, decide
 
 
 def label(kind, effect=None, *, place=None, onset=None):
@@ -187,6 +187,20 @@ def test_what_terms_show_where_nothing_is_missing_is_learned_from_controls():
     null = calibrate(*split(shown("control", None, [1.0, 3.0]) | shown("effect", "wind", [9.0, 9.0]))).null
     # of one term alone the pool is its own: mean 2, deviation 1; what was planted has no say
     assert null["wind"]["shows_train"] == null[""]["shows_train"] == [2.0, 1.0]
+
+
+def test_what_is_usual_of_a_kind_of_body_is_learned_from_its_controls():
+    def seen(kind, effect, sort, values):
+        context = [{**dict.fromkeys(USUAL, 0.0), "misfit": v, "chain": float(sort == "chain"), "sheet": 0.0} for v in values]
+        return {f"{sort}{kind}{k}": (answered("adequate", context=c), label(kind, effect)) for k, c in enumerate(context)}
+
+    chains, solids = seen("control", None, "chain", [1.0, 3.0]), seen("control", None, "solid", [-4.0] * 4)
+    usual = calibrate(*split(chains | solids | seen("effect", "wind", "solid", [50.0]))).usual
+    # of all: mean (1 + 3 - 16) / 6 = -2, variance (9 + 25 + 4 x 4) / 6; a kind's are drawn to that as if it had one case more
+    wide = 50 / 6
+    assert usual[""]["misfit"] == pytest.approx([-2.0, np.sqrt(wide)], abs=1e-4)
+    assert usual["chain"]["misfit"] == pytest.approx([(2 * 2 - 2) / 3, np.sqrt((2 * 1 + wide) / 3)], abs=1e-4)
+    assert usual["solid"]["misfit"] == pytest.approx([(4 * -4 - 2) / 5, np.sqrt((0 + wide) / 5)], abs=1e-4)
 
 
 def test_no_gain_ever_speaks_against_its_effect():

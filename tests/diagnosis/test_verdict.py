@@ -17,6 +17,7 @@ from twinbench.diagnosis.verdict import (
     OTHER,
     SEEN,
     STRANGE,
+    USUAL,
     Calibration,
     Reading,
     alike,
@@ -40,7 +41,7 @@ reading = st.builds(
     st.lists(numbers, min_size=len(FEATURES), max_size=len(FEATURES)),
 )
 several = st.lists(reading, min_size=1, max_size=6, unique_by=lambda r: r.term)
-around = st.fixed_dictionaries({name: numbers for name in CONTEXT})
+around = st.fixed_dictionaries({**{name: numbers for name in USUAL}, "chain": st.sampled_from([0.0, 1.0])})
 
 
 @pytest.mark.parametrize(
@@ -91,14 +92,16 @@ def test_effects_with_one_direction_are_alike():
 
 def test_probabilities_are_a_softmax_of_weighted_features():
     # p_i = exp(s_i) / sum exp(s), s = bias + weights . features, written out
-    c = Calibration({"train": 2.0, "extra": -0.5}, {"wind": 0.3, NONE: 1.0, OTHER: -1.0}, {NONE: {"floor": -0.7}, OTHER: {"learned": 0.4}})
+    c = Calibration(
+        {"train": 2.0, "extra": -0.5}, {"wind": 0.3, NONE: 1.0, OTHER: -1.0}, {NONE: {"sheet": -0.7}, OTHER: {"learned_sheet": 0.4}}
+    )
     found = [Reading("wind", "wind", {"train": 0.9, "extra": 3.0}), Reading("track_drift", "", {"train": 0.0})]
-    s = np.array([0.3 + 1.8 - 1.5, 0.0, 1.0 - 0.7 * 2.0, -1.0 + 0.4 * 0.5])
-    names, values = scores(found, {"floor": 2.0, "learned": 0.5}, c)
+    s = np.array([0.3 + 1.8 - 1.5, 0.0, 1.0 - 0.7, -1.0 + 0.4 * 0.5])
+    names, values = scores(found, {"sheet": 1.0, "learned": 0.5}, c)
     assert names == ["wind", "track_drift", NONE, OTHER]
     np.testing.assert_allclose(values, s)
     p = np.exp(s) / np.exp(s).sum()
-    assert decide(found, {"floor": 2.0, "learned": 0.5}, c).probabilities == pytest.approx(dict(zip(names, p, strict=True)))
+    assert decide(found, {"sheet": 1.0, "learned": 0.5}, c).probabilities == pytest.approx(dict(zip(names, p, strict=True)))
 
 
 def test_what_a_term_shows_is_told_beside_what_it_shows_where_nothing_is_missing():
@@ -112,6 +115,18 @@ def test_what_a_term_shows_is_told_beside_what_it_shows_where_nothing_is_missing
     assert c.told(Reading("track_drift", "", {"shows_train": 3.0}))["shows_train"] == 0.0
     assert c.told(Reading("wind", "wind", {"shows_train": 1.5, "settled": 0.0}))["shows_train"] == 0.0
     assert scores([Reading("wind", "wind", {"shows_train": 1.5})], {}, c)[1][0] == pytest.approx(2.0)
+
+
+def test_errors_are_told_beside_what_is_usual_of_the_kind_of_body():
+    usual = {"chain": {"misfit": [-1.0, 0.5]}, "": {"misfit": [-2.0, 0.2]}}
+    c = Calibration({}, {}, {OTHER: {"misfit_chain": 3.0, "misfit_solid": 1.0}}, usual=usual)
+    assert c.surroundings({"misfit": -0.5, "chain": 1.0, "sheet": 0.0})["misfit_chain"] == pytest.approx(1.0)  # (-0.5 + 1) / 0.5
+    assert c.surroundings({"misfit": -1.8})["misfit_solid"] == pytest.approx(1.0)  # a kind that it never met: as all bodies
+    assert c.surroundings({"misfit": 1e9, "chain": 1.0})["misfit_chain"] == STRANGE[1]
+    assert c.surroundings({"chain": 1.0})["misfit_chain"] == 0.0  # nothing told, nothing unusual
+    # another kind's weight has no say
+    assert scores([], {"misfit": -0.5, "chain": 1.0}, c)[1][-1] == pytest.approx(3.0)
+    assert scores([], {"misfit": -1.8}, c)[1][-1] == pytest.approx(1.0)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
