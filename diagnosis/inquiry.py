@@ -11,7 +11,7 @@ import numpy as np
 from ..datasets.scenario import Observed
 from ..physics.terms.residual_field import ResidualField
 from .baseline import baseline_model, first_fit
-from .fit import FINEST, LOST, Fit, Task
+from .fit import FINEST, LOST, Fit, Task, mean_error
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
 from .model import Knob, Model, Simulator
@@ -80,6 +80,7 @@ class Inquiry:
     watched      by recording (F, n, 3) m, the baseline under the observer
     push         by recording (F, n, 3) m/s^2, what the observer pushed with
     finest       m, error that is good enough for a frame, noise apart
+    astray       m, mean error of the twin's free run where it was fitted, if on other recordings
     """
 
     simulators: list[Simulator]
@@ -93,6 +94,7 @@ class Inquiry:
     watched: list[np.ndarray]
     push: list[np.ndarray]
     finest: float = FINEST
+    astray: float | None = None
 
     @property
     def case(self) -> Replica:
@@ -151,11 +153,11 @@ def inquire(
     parts += [Part(f"transfer_{k}" if k else "transfer", k + 1, 0, replicas[k + 1].frames) for k in range(len(transfer))]
 
     progress("fitting the twin")
-    model, finest = baseline_model(replicas), FINEST
+    model, finest, astray = baseline_model(replicas), FINEST, None
     if fitted_on:
         others = simulators[1 + len(transfer) :]
         found = first_fit(Task(others, [s.replica.frames for s in others], BANDWIDTH), model, iterations=preset.first)
-        finest = _shown(found, len(others))
+        finest, astray = _shown(found, len(others)), _astray(found, others)
     task = Task(simulators[:1], [train], BANDWIDTH, finest)
     start = _firm(found) if fitted_on else first_fit(task, model, iterations=preset.first)
     wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH, finest)
@@ -169,7 +171,7 @@ def inquire(
     hypotheses = [h for h in hypotheses_for(simulators[0], fitted, push_fitted) if h.term not in base.model.terms]
     scores = screen(Task(simulators[:1], [frames], BANDWIDTH, finest), base, [*hypotheses, _learned()], parts[:2])
     learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
-    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push, finest)
+    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push, finest, astray)
 
     best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
     chosen = sorted(best, key=promise, reverse=True)[: preset.refits]
@@ -224,6 +226,13 @@ def _size(unit):
 def _shown(found: Fit, recordings: int) -> float:
     """The error [m] that a twin has where nothing is missing: what may be asked of it elsewhere, finer or coarser than of any twin."""
     return float(np.clip(np.sqrt(found.history[-1] / recordings), LEAST, LOST))
+
+
+def _astray(found: Fit, others: Sequence[Simulator]) -> float:
+    """Mean error [m] of the free runs of a fitted twin on the recordings it was fitted to."""
+    row = {**found.values, "observer_bandwidth": 0.0}
+    runs = [(s.replica, s.run(found.model.terms, [row], s.replica.frames)[0]) for s in others]
+    return float(np.mean([mean_error(replica, x, 0, replica.frames) for replica, x in runs]))
 
 
 def _firm(found: Fit) -> Fit:

@@ -27,6 +27,7 @@ SETTLED, SHARPER = -20.0, 4.0
 SLID = 1.0  # log of the growth of neighbour distances that deformation alone brings, creases too
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
+ASTRAY = 3.0  # times the error of its free run where it was fitted: beyond that a twin is no longer the one that was adequate there
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 ALIKE = 0.95  # cosine of two effects' unabsorbed directions from which on a recording can hardly tell them apart
 RIVAL = 0.25  # of the likelier one's probability that the other must have for both to be said
@@ -199,13 +200,14 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     best = max([_worth(r.features) for r in found if r.term], default=0.0)
     asked = {p.name: floor_of(inquiry.simulators[p.index].replica, inquiry.finest) for p in inquiry.parts}
     excess = [np.log(inquiry.base.observed[name] / size) for name, size in asked.items()]
+    astray = inquiry.astray is not None and max(inquiry.base.free.values()) > ASTRAY * inquiry.astray
     width = 3 * inquiry.case.spacing**2
     unforeseen = np.mean([np.log(inquiry.base.foreseen[p.name] / width) / 2 for p in others])
     misfit = np.log(inquiry.base.observed["train"] / width) / 2
     chain = bool(inquiry.case.system.chains)
     sheet = not chain and not len(inquiry.case.recording.interior)
     around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen}
-    return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(max(excess) < FINE)}
+    return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(max(excess) < FINE and not astray)}
 
 
 def kind_of(around: Mapping[str, float]) -> str:

@@ -12,7 +12,7 @@ from twinbench.benchmark.cli import main
 from twinbench.datasets.phystwin import write_case
 from twinbench.diagnosis import inquiry
 from twinbench.diagnosis.diagnose import NAMES
-from twinbench.diagnosis.verdict import MEASUREMENT, NONE, OTHER, Calibration
+from twinbench.diagnosis.verdict import ASTRAY, MEASUREMENT, NONE, OTHER, Calibration, context
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 
 PARTS = ("baseline", "extended", "noise_floor", "last_residual", "learned_residual")
@@ -181,6 +181,16 @@ def test_a_twin_that_was_fitted_on_other_recordings(recordings, tiny):
     # what was fitted elsewhere has not bent itself to the case's lean
     assert found.result["fit"]["train"]["baseline"] > alone.result["fit"]["train"]["baseline"]
     assert found.result["evidence"]["twin"] == twinbench.diagnose(case, fitted_on=[clean]).result["evidence"]["twin"]
+
+
+def test_a_twin_is_at_ease_where_it_was_fitted_and_not_where_it_runs_astray(tiny):
+    clean = tiny.concealing(frames=FRAMES, train_end=TRAIN, noise=2e-4, name="calm", rate=0.7)
+    asked = twinbench.diagnose(clean, fitted_on=[clean]).inquiry
+    free = asked.base.free.values()
+    assert min(free) <= asked.astray <= max(free)  # the same free run: its mean over all frames lies between those of its two parts
+    assert context(asked, [])["fine"] == 1.0
+    assert context(replace(asked, astray=0.9 * max(free) / ASTRAY), [])["fine"] == 0.0
+    assert context(replace(asked, astray=None), [])["fine"] == 1.0  # of a twin that was fitted here nobody knows it
 
 
 def one_line(capsys, *arguments):
