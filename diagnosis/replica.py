@@ -23,6 +23,7 @@ MOST = 26  # springs looked for at a node, itself included
 GRIP_REACH = 1.6  # how far a hand point holds nodes, in node spacings
 GRIP_MOST = 4
 ROW = 12  # nodes that a rope must at least show
+LONGEST = 33  # nodes of a rope that is no row of markers: closer ones lie on its skin, here and there, and are off by three times as much
 THINNER = 1.3  # step of trying fewer nodes
 CARRIED = 0.25  # share of its way by which what a hand carries may stay behind
 SET_OFF = (0.008, 0.06)  # m: a hand's way while one sees what it carries
@@ -278,7 +279,7 @@ def _marked_rope(recording, nodes, held, fitted):
 
 def _in_a_row(structure, chosen, held):
     """As many of the ``chosen``, which fill ``structure`` ever denser, as show a rope: a closer row would go round its thickness."""
-    count = len(chosen)
+    count = min(len(chosen), LONGEST)
     while count >= max(ROW, held + 2):
         if rope_chains(apart(structure[chosen[:count]])):
             return chosen[:count]
