@@ -186,9 +186,10 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
         gradient = slopes.T @ (all_share - right_share) / len(rows) + 2 * ridge * v
         return float((all_of - right_of).mean() + ridge @ v**2), gradient
 
-    # A gain never speaks against its effect, an amplitude more never for it.
+    # A gain never speaks against its effect, nor does being told from the twin's own numbers; an amplitude more never speaks for it.
     gains = {name: (0, None) for name in FEATURES if name.split("_")[-1] in ("train", "heldout", "transfer", "unseen")}
-    bounds = [{**gains, **dict.fromkeys(SEEN, (0, SURE)), "extra": (None, 0)}.get(name, (None, None)) for name in features]
+    limits = {**gains, **dict.fromkeys(SEEN, (0, SURE)), "kept": (0, None), "extra": (None, 0)}
+    bounds = [limits.get(name, (None, None)) for name in features]
     bounds += [(None, None)] * (len(start) - len(features))
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
@@ -331,7 +332,7 @@ def thresholds(
                         s["right_first"]
                         + 0.4 * (s["right_of_two"] - s["right_first"])
                         + 0.2 * s["found"]
-                        - 0.5 * s["wrong"]
+                        - s["wrong"]  # a refusal is better than a wrong name
                         - 0.7 * s["outside_named"]
                     )
                 if worth > best:

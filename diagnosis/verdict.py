@@ -33,7 +33,8 @@ ALIKE = 0.95  # cosine of two effects' unabsorbed directions from which on a rec
 RIVAL = 0.25  # of the likelier one's probability that the other must have for both to be said
 NONE, OTHER = "adequate", "unknown"
 SHOWS = ("shows_train", "shows_unseen")  # told beside what the same term shows where nothing is missing
-FEATURES = ("train", "heldout", "transfer", "free_heldout", "free_transfer", "rival", "kept", "extra", *SHOWS)
+GAINS = ("train", "heldout", "transfer", "free_heldout", "free_transfer")
+FEATURES = (*GAINS, "rival", "kept", "extra", *SHOWS)
 STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
 SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen")  # without a simulation
 KINDS = ("chain", "sheet", "solid")
@@ -207,7 +208,8 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     chain = bool(inquiry.case.system.chains)
     sheet = not chain and not len(inquiry.case.recording.interior)
     around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen}
-    return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(max(excess) < FINE and not astray)}
+    fine = max(excess) < FINE and not astray
+    return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(fine)}
 
 
 def kind_of(around: Mapping[str, float]) -> str:
@@ -223,8 +225,9 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     doubt = min((0.0, *(b for key, b in c.biases.items() if key not in (NONE, OTHER))))
     for reading in found:
         names.append(reading.effect)
-        told = sum(c.weights.get(k, 0.0) * v for k, v in c.told(reading).items())
-        value = c.biases.get(reading.key, doubt) + told * (SHARPER if "settled" in reading.features else 1.0)
+        told = {k: c.weights.get(k, 0.0) * v for k, v in c.told(reading).items()}
+        sharper = SHARPER if "settled" in reading.features else 1.0
+        value = c.biases.get(reading.key, doubt) + sum(v * (sharper if k in GAINS else 1.0) for k, v in told.items())
         value += SETTLED * reading.features.get("settled", 0.0)
         values.append(value)
     for name in (NONE, OTHER):

@@ -16,6 +16,7 @@ from twinbench.diagnosis.verdict import (
     NONE,
     OTHER,
     SEEN,
+    SHARPER,
     STRANGE,
     USUAL,
     Calibration,
@@ -127,6 +128,14 @@ def test_errors_are_told_beside_what_is_usual_of_the_kind_of_body():
     # another kind's weight has no say
     assert scores([], {"misfit": -0.5, "chain": 1.0}, c)[1][-1] == pytest.approx(3.0)
     assert scores([], {"misfit": -1.8}, c)[1][-1] == pytest.approx(1.0)
+
+
+def test_of_a_twin_that_was_fitted_elsewhere_gains_tell_more_and_nothing_else_does():
+    c = Calibration({"train": 2.0, "kept": 0.5, "rival": -1.0}, {"wind": 0.25}, {})
+    features = {"train": 0.5, "kept": -2.0, "rival": 0.25}
+    here, elsewhere = (scores([Reading("wind", "wind", features | more)], {}, c)[1][0] for more in ({}, {"settled": 0.0}))
+    assert here == pytest.approx(0.25 + 1.0 - 1.0 - 0.25)
+    assert elsewhere == pytest.approx(0.25 + SHARPER * 1.0 - 1.0 - 0.25)
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
