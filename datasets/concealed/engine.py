@@ -12,7 +12,7 @@ from .bodies import Body
 from .elements import Elements
 from .motions import Script
 
-__all__ = ["Law", "Motion", "Obstacle", "Physics", "Unstable", "World", "about", "simulate"]
+__all__ = ["Law", "Motion", "Obstacle", "Physics", "Unstable", "World", "about", "filmed", "pulled", "simulate", "stuck"]
 
 FPS = 30.0
 SETTLE = 0.3  # the body lies in closed grips that long before frame 0 [s]
@@ -195,15 +195,10 @@ class World:
         held, first = self.gripped[hand], sum(map(len, self.gripped[:hand]))
         rows = slice(first, first + len(held))
         self.data.eq_active[rows] = 0
-        before = []
+        pull = pulled(held, stiffness, damping, self.dt)
 
         def step(time, x, v):
-            there = self.data.qpos[7 * hand : 7 * hand + 3] + self.anchors[rows] @ self.rotation(hand).T
-            pace = (there - before.pop()) / self.dt if before else 0.0
-            before.append(there)
-            force = np.zeros_like(x)
-            force[held] = (stiffness * (there - x[held]) + damping * (pace - v[held])) / len(held)
-            return force
+            return pull(self.data.qpos[7 * hand : 7 * hand + 3] + self.anchors[rows] @ self.rotation(hand).T, x, v)
 
         return step
 
@@ -218,16 +213,7 @@ class World:
 
     def stick(self, extra: float, speed: float) -> Step:
         """Friction that is higher at rest: on top of Coulomb's, ``extra`` exp(-(v / speed)^2) of the normal force, against v."""
-        mass = self.body.mass[:, None]
-
-        def step(time, x, v):
-            slide = v * [1, 1, 0]
-            fast = np.linalg.norm(slide, axis=1, keepdims=True)
-            most = extra * np.exp(-np.square(fast / speed)) * self.table_force()[:, None]
-            # No friction turns a velocity round within a step.
-            return -np.minimum(most / np.maximum(fast, 1e-12), 0.5 * mass / self.dt) * slide
-
-        return step
+        return stuck(self, self.body.mass, extra, speed)
 
     # --- how MuJoCo is told -----------------------------------------------------------------------------------------------------------
 
@@ -258,6 +244,35 @@ class World:
         data, q, v = self.data, 7 * hand, 6 * hand
         data.qpos[q : q + 3], data.qvel[v : v + 3], data.qvel[v + 3 : v + 6] = position, velocity, turning
         self.mujoco.mju_mat2Quat(data.qpos[q + 3 : q + 7], rotation.ravel())
+
+
+def stuck(world, mass: np.ndarray, extra: float, speed: float) -> Step:
+    """A law's step: on top of Coulomb's friction ``extra`` exp(-(v / speed)^2) of the table's normal force, against v, in m/s."""
+
+    def step(time, x, v):
+        slide = v * [1, 1, 0]
+        fast = np.linalg.norm(slide, axis=1, keepdims=True)
+        most = extra * np.exp(-np.square(fast / speed)) * world.table_force()[:, None]
+        # No friction turns a velocity round within a step.
+        return -np.minimum(most / np.maximum(fast, 1e-12), 0.5 * mass[:, None] / world.dt) * slide
+
+    return step
+
+
+def pulled(held: np.ndarray, stiffness: float, damping: float, dt: float) -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
+    """Forces (V, 3) [N] on the vertices ``held``, which share a spring [N/m] and a damper [N s/m], towards ``there`` (H, 3): called in each
+    step of ``dt`` with ``there``, positions and velocities.
+    """
+    before = []
+
+    def pull(there, x, v):
+        pace = (there - before.pop()) / dt if before else 0.0
+        before.append(there)
+        force = np.zeros_like(x)
+        force[held] = (stiffness * (there - x[held]) + damping * (pace - v[held])) / len(held)
+        return force
+
+    return pull
 
 
 def simulate(body: Body, script: Script, physics: Physics | None = None, *, substeps: int = 32, settle: float = SETTLE) -> Motion:
@@ -294,6 +309,17 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
         np.array(frames),
         np.array([position[sampled] for position, *_ in paths]),
         np.array([turns[sampled] for _, _, turns, _ in paths]),
+        world.gripped,
+        {name: round(time * FPS) for name, time in world.events.items()},
+    )
+
+
+def filmed(world, frames: list[np.ndarray], paths: list[tuple[np.ndarray, np.ndarray]], sampled: np.ndarray) -> Motion:
+    """The motion of a ``world`` with ``origins``, whose hands moved and turned along ``paths``, of which ``sampled`` steps are frames."""
+    return Motion(
+        np.array(frames),
+        np.array([origin + moves[sampled] for origin, (moves, _) in zip(world.origins, paths, strict=True)]),
+        np.array([turns[sampled] for _, turns in paths]),
         world.gripped,
         {name: round(time * FPS) for name, time in world.events.items()},
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...synthetic.simulate import GRAVITY
 from ..bodies import Body
-from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable
+from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable, filmed
 from ..motions import Script
 from .banded import Banded, one_thread
 from .contact import Contacts, gaps
@@ -283,14 +283,7 @@ def _simulate(body, script, physics, per, settle):
             world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
         except (np.linalg.LinAlgError, FloatingPointError, ValueError) as reason:
             raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: {reason}") from None
-    sampled = settle + np.arange(script.frames) * per
-    return Motion(
-        np.array(frames),
-        np.array([origin + moves[sampled] for origin, (moves, _) in zip(world.origins, paths, strict=True)]),
-        np.array([turns[sampled] for _, turns in paths]),
-        world.gripped,
-        {name: round(time * FPS) for name, time in world.events.items()},
-    )
+    return filmed(world, frames, paths, settle + np.arange(script.frames) * per)
 
 
 def _table(height, rise_x, rise_y):

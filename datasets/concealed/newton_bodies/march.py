@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..bodies import Body
-from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Step, Unstable
+from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Step, Unstable, filmed, pulled, stuck
 from ..finite.shells import Creases
 from ..motions import Script
 from .material import Bends, Elements
@@ -105,15 +105,12 @@ class World:
 
     def soften_grip(self, hand: int, stiffness: float, damping: float) -> Step:
         """A hand that holds its vertices by a spring [N/m] and a damper [N s/m] together: a step of a law."""
-        held, first, before = self.gripped[hand], sum(map(len, self.gripped[:hand])), []
+        held, first = self.gripped[hand], sum(map(len, self.gripped[:hand]))
         self.held[held] = False
+        pull = pulled(held, stiffness, damping, self.dt)
 
         def step(time, x, v):
-            there = self.places[hand] + self.anchors[first : first + len(held)] @ self.rotations[hand].T
-            pace = (there - before.pop()) / self.dt if before else 0.0
-            before.append(there)
-            force = np.zeros_like(x)
-            force[held] = (stiffness * (there - x[held]) + damping * (pace - v[held])) / len(held)
+            force = pull(self.places[hand] + self.anchors[first : first + len(held)] @ self.rotations[hand].T, x, v)
             self.soft[hand] = force.sum(axis=0)
             return force
 
@@ -128,15 +125,7 @@ class World:
 
     def stick(self, extra: float, speed: float) -> Step:
         """Friction that is higher at rest: on top of Coulomb's, ``extra`` exp(-(v / speed)^2) of the normal force, against v."""
-
-        def step(time, x, v):
-            slide = v * [1, 1, 0]
-            fast = np.linalg.norm(slide, axis=1, keepdims=True)
-            most = extra * np.exp(-np.square(fast / speed)) * self.table_force()[:, None]
-            # No friction turns a velocity round within a step.
-            return -np.minimum(most / np.maximum(fast, 1e-12), 0.5 * self.mass[:, None] / self.dt) * slide
-
-        return step
+        return stuck(self, self.mass, extra, speed)
 
     # --- a step -----------------------------------------------------------------------------------------------------------------------
 
@@ -203,14 +192,7 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
             for place, turn, a, b in zip(world.places, world.rotations, firsts, firsts[1:], strict=False)
         ]
         world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
-    sampled = settle + np.arange(script.frames) * substeps
-    return Motion(
-        np.array(frames),
-        np.array([origin + moves[sampled] for origin, (moves, _) in zip(world.origins, paths, strict=True)]),
-        np.array([turns[sampled] for _, turns in paths]),
-        world.gripped,
-        {name: round(time * FPS) for name, time in world.events.items()},
-    )
+    return filmed(world, frames, paths, settle + np.arange(script.frames) * substeps)
 
 
 def _put(world, paths, step):
