@@ -40,7 +40,7 @@ def test_the_full_plan_has_what_a_verdict_on_the_tool_needs():
     kinds = {kind: [c for c in cases if c.kind == kind] for kind in ("control", "effect", "outside", "pair")}
     assert len(kinds["control"]) >= 60 and len(kinds["effect"]) >= 120 and len(kinds["outside"]) >= 20 and len(kinds["pair"]) >= 20
     # as README and --help say
-    assert len(kinds["effect"]) == 6 * len(EFFECTS) and len(kinds["control"]) == 66 and len(kinds["outside"]) == len(kinds["pair"]) == 24
+    assert len(kinds["effect"]) == 5 * len(EFFECTS) and [len(kinds[k]) for k in ("control", "outside", "pair")] == [64, 21, 24]
     assert len(plan("quick", "1", engines=tuple(ENGINES))) == 18
     assert len({c.name for c in kinds["effect"]}) >= 12 and {c.body for c in cases} == {"rope", "cloth", "plush"}
     assert {c.engine for c in kinds["effect"]} == {c.engine for c in kinds["control"]} == set(ENGINES)

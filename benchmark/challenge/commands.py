@@ -26,7 +26,7 @@ class Make:
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder of the set."""
     preset: str = "quick"
-    """quick (18 cases) or full (some 300)."""
+    """quick (18 cases) or full (some 260)."""
     seed: str | None = None
     """Any text; the same one gives the same set. Long and random, if labels shall be secret: who guesses it can make the set."""
     beacon: str | None = None

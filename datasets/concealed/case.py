@@ -11,7 +11,7 @@ from ..synthetic.simulate import to_world
 from . import bodies, motions
 from .bodies import Body
 from .effects import EFFECTS, OUTSIDE, Effect, Occasion
-from .engine import Motion, Unstable
+from .engine import Motion, Physics, Unstable
 from .engines import engine as engine_of
 from .sensing import Tracker, observe
 
@@ -87,11 +87,12 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine):
     if chaos > min(CHAOS, clear[1] / BEYOND):
         raise Dull(f"a tenth of a millimetre grows to {1000 * chaos:.1f} mm")
     plain = (*plain, engine.simulate(body, scripts[1]))
-    parts = [_clear(one, body, scripts, plain, rng, clear, chaos, engine) for one in planned]
+    sound = _Sound(body, scripts, plain, engine)
+    parts = [_clear(one, sound, rng, clear, chaos) for one in planned]
     if kind == "control":
         effect, motion, sizes = Effect(body), plain, {"displacement": 0.0}
     elif kind == "pair":
-        effect, motion, sizes = _both(planned, parts, body, scripts, plain, clear, engine)
+        effect, motion, sizes = _both(planned, parts, sound, clear)
     else:
         effect, motion, sizes = parts[0][:3]
     tracker = Tracker.draw(rng)
@@ -124,7 +125,27 @@ def _scripts(planned, body, rng):
     return tuple(motions.draw(str(kind), body, rng) for kind in (first, second))
 
 
-def _clear(planned, body, scripts, plain, rng, clear, chaos, engine):
+class _Sound:
+    """A body without an effect in its two interactions: what neither an effect nor its size changes is simulated once."""
+
+    def __init__(self, body, scripts, plain, engine):
+        self.body, self.scripts, self.plain, self.engine = body, scripts, plain, engine
+        self.known = {(part, Effect(body).substeps): motion for part, motion in enumerate(plain)}
+
+    def motion(self, effect, part):
+        """As the body moves without ``effect``."""
+        if effect.without is not self.body or effect.around != Physics():
+            return self._simulated(effect, part)
+        key = part, effect.substeps
+        if key not in self.known:
+            self.known[key] = self._simulated(effect, part)
+        return self.known[key]
+
+    def _simulated(self, effect, part):
+        return self.engine.simulate(effect.without, self.scripts[part], effect.around, substeps=effect.substeps)
+
+
+def _clear(planned, sound, rng, clear, chaos):
     """The effect at a size that moves the points of the fit recording clearly, the motions with it, and by how much it moves them."""
     low, high = max(clear[0], BEYOND * chaos), clear[1] * planned.most
     least = min(1.0, clear[0] / CLEAR[0])
@@ -132,11 +153,11 @@ def _clear(planned, body, scripts, plain, rng, clear, chaos, engine):
     under = over = None
     for _ in range(SEARCH if planned.sized else 1):
         try:
-            effect = planned.draw(Occasion(body, scripts, plain, np.random.default_rng(entropy)), size)
+            effect = planned.draw(Occasion(sound.body, sound.scripts, sound.plain, np.random.default_rng(entropy)), size)
         except ValueError as reason:
             raise Dull(f"{planned.name}: {reason}") from None
-        effect = replace(effect, without=effect.without or body)
-        moved, motion = _moved(planned, effect, scripts[0], plain[0], engine)
+        effect = replace(effect, without=effect.without or sound.body)
+        moved, motion = _moved(planned, effect, sound, 0)
         if low <= moved <= high:
             break
         tried.append(f"{size:.3g} by {1000 * moved:.1f} mm")
@@ -149,18 +170,18 @@ def _clear(planned, body, scripts, plain, rng, clear, chaos, engine):
             size = float(np.clip(2.5 * size if under else 0.4 * size, *sizes))
     if not low <= moved <= high:
         raise Dull(f"{planned.name} finds no size that moves the points by {1000 * low:.0f} to {1000 * high:.0f} mm: {', '.join(tried)}")
-    later, motion_later = _moved(planned, effect, scripts[1], plain[1], engine)
+    later, motion_later = _moved(planned, effect, sound, 1)
     if not LEAST * least <= later < np.inf:
         raise Dull(f"{planned.name} moves the points of the transfer recording by {1000 * later:.1f} mm")
     return effect, (motion, motion_later), {"displacement": moved, "displacement_transfer": later, "size": size}, entropy
 
 
-def _both(planned, parts, body, scripts, plain, clear, engine):
+def _both(planned, parts, sound, clear):
     """Two effects at the sizes that are clear by themselves, the motions with both, and by how much both move the points."""
     (first, _, _, _), (_, _, one, entropy) = parts
 
     def second(on):
-        drawn = planned[1].draw(Occasion(on, scripts, plain, np.random.default_rng(entropy)), one["size"])
+        drawn = planned[1].draw(Occasion(on, sound.scripts, sound.plain, np.random.default_rng(entropy)), one["size"])
         return replace(drawn, without=drawn.without or on)
 
     try:
@@ -176,33 +197,32 @@ def _both(planned, parts, body, scripts, plain, clear, engine):
         around=first.around.joined(other.around),
     )
     motion, moved = [], []
-    for script, still in zip(scripts, plain, strict=True):
+    for part, (script, still) in enumerate(zip(sound.scripts, sound.plain, strict=True)):
         try:
             now = (
-                engine.simulate(effect.body, script, effect.physics, substeps=effect.substeps)
+                sound.engine.simulate(effect.body, script, effect.physics, substeps=effect.substeps)
                 if not all(p.measurement for p in planned)
                 else still
             )
         except Unstable as reason:
             raise Dull(f"both together: {reason}") from None
-        without = engine.simulate(effect.without, script, effect.around, substeps=effect.substeps)
         motion.append(now)
-        moved.append(float(np.hypot(rms(now.vertices - without.vertices), _believed(effect, script, now))))
+        moved.append(float(np.hypot(rms(now.vertices - sound.motion(effect, part).vertices), _believed(effect, script, now))))
     if not clear[0] / 2 <= min(moved):
         raise Dull(f"{planned[0].name} and {planned[1].name} undo each other")
     return effect, tuple(motion), {"displacement": moved[0], "displacement_transfer": moved[1]}
 
 
-def _moved(planned, effect, script, plain, engine):
+def _moved(planned, effect, sound, part):
     """RMS by which the effect moves the points [m], infinite where it blows up; and the motion with it."""
+    script, plain = sound.scripts[part], sound.plain[part]
     if planned.measurement:
         return _believed(effect, script, plain), plain
     try:
-        motion = engine.simulate(effect.body, script, effect.physics, substeps=effect.substeps)
+        motion = sound.engine.simulate(effect.body, script, effect.physics, substeps=effect.substeps)
     except Unstable:
         return np.inf, None
-    without = engine.simulate(effect.without, script, effect.around, substeps=effect.substeps)
-    return rms(motion.vertices - without.vertices), motion
+    return rms(motion.vertices - sound.motion(effect, part).vertices), motion
 
 
 def _believed(effect, script, motion):

@@ -43,7 +43,7 @@ class Preset:
 
 PRESETS = {
     "quick": Preset(controls=6, levels=(2.0,), outside=2, pairs=2, effects=8),
-    "full": Preset(controls=66, levels=(0.5, 1.0, 2.0, 2.0, 4.0, 8.0), outside=24, pairs=24),
+    "full": Preset(controls=64, levels=(0.5, 1.0, 2.0, 4.0, 8.0), outside=21, pairs=24),
 }
 
 
