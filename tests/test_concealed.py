@@ -504,6 +504,22 @@ def test_a_blow_up_is_reported():
         simulate(body, FREE, Physics(laws=(lambda world: lambda time, x, v: 1e4 * v + 10.0,)))
 
 
+def test_volumes_are_signed():
+    body = plush(np.random.default_rng(0))
+    whole, mirrored = body.vertices, body.vertices * [1, 1, -1]
+    np.testing.assert_allclose(body.volumes(np.stack([whole, 2 * whole, mirrored])).mean(axis=1), [1, 8, -1], rtol=1e-12)
+
+
+def test_a_stuffed_body_keeps_its_elements_right_side_out():
+    rng = np.random.default_rng([3, 77])
+    body = plush(rng)
+    script = motions.draw("lift_shake", body, rng)
+    assert body.volumes(simulate(body, script).vertices).min() > 0.2
+    # St. Venant-Kirchhoff elements have a second rest inside out: a limp body that crumples at the hand would stay there.
+    with pytest.raises(Unstable, match="lift_shake of plush turns elements inside out"):
+        simulate(replace(body, young=body.young / 10), script)
+
+
 # --- the measurement ------------------------------------------------------------------------------------------------------------------
 
 

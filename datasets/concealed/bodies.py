@@ -8,8 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from ..synthetic.objects import Plush
+from ..synthetic.simulate import GRAVITY
 
 __all__ = ["BODIES", "Body", "draw"]
+
+FOAM = (4000.0, 60000.0)  # Young's modulus of stuffing [Pa]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,15 @@ class Body:
         edges = self.vertices[self.elements[:, 1:]] - self.vertices[self.elements[:, :1]]
         return np.sqrt(np.linalg.det(edges @ np.swapaxes(edges, 1, 2))) / (1, 1, 2, 6)[self.dim]
 
+    def volumes(self, x: np.ndarray) -> np.ndarray:
+        """(..., E) volumes of the tetrahedra at positions ``x`` (..., V, 3), over those at rest; negative where they are inside out."""
+
+        def signed(points):
+            edges = points[..., self.elements[:, 1:], :] - points[..., self.elements[:, :1], :]
+            return np.linalg.det(edges)
+
+        return signed(x) / signed(self.vertices)
+
     def near(self, point, radius: float) -> np.ndarray:
         """Vertices within ``radius`` of a rest position."""
         return np.flatnonzero(np.linalg.norm(self.vertices - np.asarray(point), axis=1) <= radius)
@@ -122,15 +134,18 @@ def rope(rng: np.random.Generator, *, fine: bool = False) -> Body:
 
 
 def plush(rng: np.random.Generator, *, fine: bool = False) -> Body:
-    """A stuffed bar, slab or parcel of foam."""
+    """A stuffed bar, slab or parcel of foam. Held at one end it hangs down by ``sag`` times its length, were that little: a limp one would
+    crumple at the hand, which no mesh of this size shows.
+    """
     size = [(0.24, 0.06, 0.026), (0.2, 0.12, 0.025), (0.16, 0.09, 0.05), (0.3, 0.05, 0.03)][int(rng.integers(4))]
     size = tuple(float(x) for x in np.array(size) * rng.uniform(0.9, 1.15, 3))
     pitch = 0.016 if fine else 0.023
     cells = tuple(int(n) for n in np.maximum(np.round(np.array(size) / pitch), [1, 2, 1 + fine]))
     shape = Plush(size=size, cells=cells, taper=rng.uniform(0, 0.4), rounding=rng.uniform(0, 0.35), roundness=rng.uniform(0, 0.6))
-    young = float(np.exp(rng.uniform(np.log(1500), np.log(6000))))
+    density, sag = rng.uniform(60, 130), float(np.exp(rng.uniform(np.log(0.3), np.log(2))))
+    young = float(np.clip(1.5 * density * GRAVITY * size[0] ** 3 / (size[2] ** 2 * sag), *FOAM))  # of a beam under its own weight
     body = Body("plush", shape.vertices, shape.tetrahedra, shape.faces, np.ones(len(shape.vertices)), 1e-3, young)
-    return _with(body, rng.uniform(60, 130) * body.measure.sum(), rng, size=size, damping=rng.uniform(0.005, 0.02))
+    return _with(body, density * body.measure.sum(), rng, size=size, sag=sag, damping=rng.uniform(0.005, 0.02))
 
 
 def _with(body, total, rng, *, bending=1.0, damping=None, **about):

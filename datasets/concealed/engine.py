@@ -284,16 +284,16 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     world = World(body, script, physics, substeps)
     steps, settle = (script.frames - 1) * substeps, round(settle / world.dt)
     paths = []
-    for hand, origin in zip(script.hands, world.origins, strict=True):
+    for hand in script.hands:
         moves, turns = hand.path((np.arange(-settle, steps + 2)) * world.dt)
-        paths.append((origin + moves, np.diff(moves, axis=0) / world.dt, turns, spin(turns) / world.dt))
+        paths.append((moves, np.diff(moves, axis=0) / world.dt, turns, spin(turns) / world.dt))
     laws = [law(world) for law in physics.laws]
     clamps = _Clamps(world) if body.dim == 1 else None
     frames = []
     with warnings(world.mujoco) as said:
         for step in range(settle + steps + 1):
-            for index, (position, velocity, turns, turning) in enumerate(paths):
-                world.hold(index, position[step], velocity[step], turns[step], turning[step])
+            for index, (moves, velocity, turns, turning) in enumerate(paths):
+                world.hold(index, world.origins[index] + moves[step], velocity[step], turns[step], turning[step])
             if clamps:
                 clamps.turn([turns[step] for _, _, turns, _ in paths])
             x, v = world.positions(), world.velocities()
@@ -304,20 +304,19 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
             forces = [force for law in laws if (force := law((step - settle) * world.dt, x, v)) is not None]
             world.data.qfrc_applied[world.dofs] = sum(forces) if forces else 0
             world.mujoco.mj_step(world.model, world.data)
-    sampled = settle + np.arange(script.frames) * substeps
-    return Motion(
-        np.array(frames),
-        np.array([position[sampled] for position, *_ in paths]),
-        np.array([turns[sampled] for _, _, turns, _ in paths]),
-        world.gripped,
-        {name: round(time * FPS) for name, time in world.events.items()},
-    )
+    return filmed(world, script, frames, [(moves, turns) for moves, _, turns, _ in paths], settle + np.arange(script.frames) * substeps)
 
 
-def filmed(world, frames: list[np.ndarray], paths: list[tuple[np.ndarray, np.ndarray]], sampled: np.ndarray) -> Motion:
-    """The motion of a ``world`` with ``origins``, whose hands moved and turned along ``paths``, of which ``sampled`` steps are frames."""
+def filmed(world, script: Script, frames: list[np.ndarray], paths: list[tuple[np.ndarray, np.ndarray]], sampled: np.ndarray) -> Motion:
+    """The motion of a ``world`` with ``origins``, whose hands moved and turned along ``paths``, of which ``sampled`` steps are frames.
+
+    Raises Unstable where a tetrahedron was turned inside out: St. Venant-Kirchhoff's energy has a second rest there, and no body does that.
+    """
+    vertices, body = np.array(frames), world.body
+    if body.dim == 3 and not body.volumes(vertices).min() > 0:
+        raise Unstable(f"{script.name} of {body.kind} turns elements inside out")
     return Motion(
-        np.array(frames),
+        vertices,
         np.array([origin + moves[sampled] for origin, (moves, _) in zip(world.origins, paths, strict=True)]),
         np.array([turns[sampled] for _, turns in paths]),
         world.gripped,

@@ -283,7 +283,7 @@ def _simulate(body, script, physics, per, settle):
             world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
         except (np.linalg.LinAlgError, FloatingPointError, ValueError) as reason:
             raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: {reason}") from None
-    return filmed(world, frames, paths, settle + np.arange(script.frames) * per)
+    return filmed(world, script, frames, paths, settle + np.arange(script.frames) * per)
 
 
 def _table(height, rise_x, rise_y):

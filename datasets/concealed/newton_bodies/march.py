@@ -192,7 +192,7 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
             for place, turn, a, b in zip(world.places, world.rotations, firsts, firsts[1:], strict=False)
         ]
         world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
-    return filmed(world, frames, paths, settle + np.arange(script.frames) * substeps)
+    return filmed(world, script, frames, paths, settle + np.arange(script.frames) * substeps)
 
 
 def _put(world, paths, step):
