@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..diagnosis.balance import TURNS
 from ..diagnosis.verdict import (
     CONTEXT,
     FEATURES,
@@ -188,7 +189,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
         return float((all_of - right_of).mean() + ridge @ v**2), gradient
 
     # A gain never speaks against its effect, nor does being told from the twin's own numbers; an amplitude more never speaks for it.
-    gains = dict.fromkeys((*GAINS, *SHOWS), (0, None))
+    gains = dict.fromkeys((*GAINS, *SHOWS, *TURNS), (0, None))
     limits = {**gains, **dict.fromkeys(SEEN, (0, SURE)), "kept": (0, None), "extra": (None, 0)}
     bounds = [limits.get(name, (None, None)) for name in features]
     bounds += [(None, None)] * (len(start) - len(features))

@@ -6,7 +6,7 @@ import json
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +122,7 @@ def diagnose(
             "recordings": _recordings(inquiry),
             "readings": [{"effect": r.effect, "term": r.term, **r.features} for r in found],
             "context": around,
+            "balance": asdict(inquiry.balance) if inquiry.balance else None,
             "alike": [list(pair) for pair in pairs],
             "plan": planned,
             "where_nodes": nodes,
@@ -352,6 +353,12 @@ def _notes(inquiry, decision):
     said = [f"The twin that was questioned has {len(inquiry.case.nodes)} nodes, {1000 * inquiry.case.spacing:.0f} mm apart."]
     if not inquiry.transfers:
         said.append("No transfer recording was given: what is said rests on held-out frames of the same interaction.")
+    turned = inquiry.balance
+    if turned:
+        said.append(
+            f"The torques on the hanging body say, without any twin, that the air brakes it by {turned.drag:.1f} per second (give or take "
+            f"{turned.doubt:.1f}; usual is 0 to 2) and that {turned.lean:.1f} m/s^2 pull it aside (1 and less is error)."
+        )
     wrong = inquiry.case.sightings.wrong
     if wrong.any():
         said.append(f"{int(wrong.sum())} of {len(wrong)} tracks leave their neighbours for good; they were left out.")

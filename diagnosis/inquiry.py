@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 
 from ..datasets.scenario import Observed
 from ..physics.terms.residual_field import ResidualField
+from .balance import Balance, balance
 from .baseline import baseline_model, first_fit
 from .fit import FINEST, LOST, Fit, Task, mean_error
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
@@ -100,6 +101,11 @@ class Inquiry:
     def case(self) -> Replica:
         return self.simulators[0].replica
 
+    @cached_property
+    def balance(self) -> Balance | None:
+        """What the torques on the body say, in the case and the transfer recordings together."""
+        return balance([s.replica for s in self.simulators[: 1 + self.transfers]])
+
     @property
     def transferred(self) -> list[str]:
         """Names of the parts that are transfer recordings."""
@@ -174,7 +180,8 @@ def inquire(
     inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push, finest, astray)
 
     best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
-    chosen = sorted(best, key=promise, reverse=True)[: preset.refits]
+    told = inquiry.balance.speaks_for if inquiry.balance else ()
+    chosen = sorted(best, key=lambda score: (score.hypothesis.effect in told, promise(score)), reverse=True)[: preset.refits]
     chosen = confirm(wide, base, chosen, parts[2:])
     progress(f"refitting {', '.join(s.hypothesis.effect for s in chosen)}")
     elsewhere = {k: _elsewhere(score, scores, replicas[0].spacing) for k, score in enumerate(chosen)}

@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from .balance import TURNS
 from .fit import floor_of
 from .hands import held_points
 from .inquiry import Inquiry, Refit
@@ -34,12 +35,12 @@ RIVAL = 0.25  # of the likelier one's probability that the other must have for b
 NONE, OTHER = "adequate", "unknown"
 SHOWS = ("shows_train", "shows_unseen")  # told beside what the same term shows where nothing is missing
 GAINS = ("train", "heldout", "transfer", "free_heldout", "free_transfer")
-FEATURES = (*GAINS, "rival", "kept", "extra", *SHOWS)
+FEATURES = (*GAINS, "rival", "kept", "extra", *SHOWS, *TURNS)
 STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
 SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen")  # without a simulation
 KINDS = ("chain", "sheet", "solid")
 USUAL = ("learned", "best", "misfit", "unforeseen")  # told beside what is usual of a kind of body where nothing is missing
-CONTEXT = ("chain", "sheet", *(f"{name}_{kind}" for name in USUAL for kind in KINDS))
+CONTEXT = ("chain", "sheet", *(f"{name}_{kind}" for name in USUAL for kind in KINDS), *TURNS)
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ def left(gain: float) -> float:
 
 def readings(inquiry: Inquiry) -> list[Reading]:
     """Every refitted hypothesis, and what the tracks say by themselves."""
-    found = []
+    found, turns = [], turning(inquiry)
     for refit in inquiry.refits:
         found.append(Reading(refit.score.hypothesis.effect, refit.score.hypothesis.term.name, _features(refit, inquiry.transferred)))
     if len(inquiry.simulators) > 1 + inquiry.transfers:  # the twin comes from other recordings of the body
@@ -144,9 +145,18 @@ def readings(inquiry: Inquiry) -> list[Reading]:
             reading.features["settled"] = float(reading.effect in MATERIAL)
     best = {r.term: r.features for r in found}
     for reading in found:
+        reading.features.update({name: turns[name] if reading.effect in effects else 0.0 for name, effects in TURNS.items()})
         rivals = [_worth(f) for term, f in best.items() if term != reading.term]
         reading.features["rival"] = max(0.0, max(rivals, default=0.0))
     return found + _tracks(inquiry)
+
+
+def turning(inquiry: Inquiry) -> dict[str, float]:
+    """What a balance of torques says of a body that hangs from hands, where one can be drawn up: whether the air brakes it more than is
+    usual, and how strongly a steady level force pulls it aside.
+    """
+    found = inquiry.balance
+    return dict.fromkeys(TURNS, 0.0) if found is None else {name: float(np.clip(getattr(found, name), *STRANGE)) for name in TURNS}
 
 
 def _features(refit: Refit, transfer):
@@ -207,7 +217,7 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     misfit = np.log(inquiry.base.observed["train"] / width) / 2
     chain = bool(inquiry.case.system.chains)
     sheet = not chain and not len(inquiry.case.recording.interior)
-    around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen}
+    around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen, **turning(inquiry)}
     fine = max(excess) < FINE and not astray
     return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(fine)}
 
