@@ -334,7 +334,7 @@ def thresholds(
                         s["right_first"]
                         + 0.4 * (s["right_of_two"] - s["right_first"])
                         + 0.2 * s["found"]
-                        - s["wrong"]  # a refusal is better than a wrong name
+                        - 1.5 * s["wrong"]  # a refusal is better than a wrong name
                         - 0.7 * s["outside_named"]
                     )
                 if worth > best:

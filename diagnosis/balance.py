@@ -20,7 +20,10 @@ from .replica import Replica, fists
 
 __all__ = ["TURNS", "Balance", "balance"]
 
-TURNS = {"braked": ("quadratic_drag", "plate_drag", "wind"), "leaning": ("wind", "gravity_tilt")}  # what speaks for which effects
+TURNS = {  # what speaks for which effects: whatever else touches the body brakes or pulls it too
+    "braked": ("quadratic_drag", "plate_drag", "wind", "hidden_tether", "hidden_obstacle"),
+    "leaning": ("wind", "gravity_tilt", "hidden_tether"),
+}
 STRIKING = 1.0  # from which on it does
 SMOOTH = 0.067  # s, standard deviation of the window through which positions are differentiated
 EDGE = 0.13  # s at either end that a window does not fill

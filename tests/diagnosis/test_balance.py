@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from twinbench.datasets.scenario import Observed, Plane
-from twinbench.diagnosis.balance import LEAN, balance
+from twinbench.diagnosis.balance import LEAN, TURNS, balance
 from twinbench.diagnosis.replica import build_replica
 
 SIDE, PITCH, FPS, SUBSTEPS = 6, 0.05, 30, 60
@@ -101,6 +101,6 @@ def test_a_few_frames_stay_at_what_is_usual():
 
 
 def test_what_is_braked_and_what_leans_speak_for_their_effects():
-    assert balance([recorded(swung(drag=5.0))]).speaks_for == ("quadratic_drag", "plate_drag", "wind")
-    assert balance([recorded(swung(push=(3.0, 0, 0)))]).speaks_for == ("wind", "gravity_tilt")
+    assert balance([recorded(swung(drag=5.0))]).speaks_for == TURNS["braked"]
+    assert balance([recorded(swung(push=(3.0, 0, 0)))]).speaks_for == TURNS["leaning"]
     assert balance([recorded(swung())]).speaks_for == ()
