@@ -69,7 +69,7 @@ def balance(replicas: Sequence[Replica]) -> Balance | None:
     """
     left, right = [], []
     for index, replica in enumerate(replicas):
-        turns = None if replica.solid else _turns(replica)
+        turns = None if len(replica.recording.interior) else _turns(replica)
         if turns is None:
             continue
         torque, columns, beside = turns

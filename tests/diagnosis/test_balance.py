@@ -38,14 +38,14 @@ def swung(*, drag=0.8, push=(0.0, 0.0, 0.0), stiffness=2e3, damping=5.0, hands=(
     return np.array(seen)
 
 
-def recorded(path, *, hands=(0,), ground=None, noise=0.0):
+def recorded(path, *, hands=(0,), ground=None, noise=0.0, interior=()):
     """The replica of a recording of ``path`` whose hands are three points around each led corner."""
     rng = np.random.default_rng(0)
     fingers = 0.004 * np.array([[1, 0, 0], [-0.5, 0.9, 0], [-0.5, -0.9, 0]])
     controllers = np.concatenate([path[:, h, None] + fingers for h in hands], axis=1)
     points = path + rng.normal(0, noise, path.shape) if noise else path
     there = np.ones(path.shape[:2], bool)
-    about = {"gravity": GRAVITY, "ground": ground, "fps": float(FPS)}
+    about = {"gravity": GRAVITY, "ground": ground, "fps": float(FPS), "interior": np.reshape(interior, (-1, 3))}
     return build_replica(
         Observed(name="sheet", points=points, visible=there, motion_valid=there, controllers=controllers, **about), nodes=36
     )
@@ -93,6 +93,11 @@ def test_what_lies_on_the_table_tells_nothing():
     path = swung(frames=40)
     low = path[..., 2].min(axis=1)
     assert balance([recorded(path, ground=Plane((0, 0, 1), float(low.max())))]) is None
+
+
+def test_a_body_that_stands_up_to_a_hand_is_not_asked():
+    path = swung(drag=5.0)
+    assert balance([recorded(path, interior=path[0, 7:12] - [0, 0, 0.01])]) is None
 
 
 def test_a_few_frames_stay_at_what_is_usual():
