@@ -127,8 +127,7 @@ def _turns(replica):
     air = np.zeros(frames, bool)
     air[edge : frames - edge] = True
     if recording.ground is not None:
-        height = raw @ recording.ground.normal - recording.ground.offset
-        air &= height.min(axis=1) > CLEAR
+        air &= recording.ground.height(raw).min(axis=1) > CLEAR
     air &= size > REACH
     if air.sum() < LEAST:
         return None

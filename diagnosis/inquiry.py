@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import reduce
 
 import numpy as np
 
@@ -82,6 +82,7 @@ class Inquiry:
     push         by recording (F, n, 3) m/s^2, what the observer pushed with
     finest       m, error that is good enough for a frame, noise apart
     astray       m, mean error of the twin's free run where it was fitted, if on other recordings
+    balance      what the torques on the body say, in the case and the transfer recordings together
     """
 
     simulators: list[Simulator]
@@ -96,15 +97,11 @@ class Inquiry:
     push: list[np.ndarray]
     finest: float = FINEST
     astray: float | None = None
+    balance: Balance | None = None
 
     @property
     def case(self) -> Replica:
         return self.simulators[0].replica
-
-    @cached_property
-    def balance(self) -> Balance | None:
-        """What the torques on the body say, in the case and the transfer recordings together."""
-        return balance([s.replica for s in self.simulators[: 1 + self.transfers]])
 
     @property
     def transferred(self) -> list[str]:
@@ -177,10 +174,11 @@ def inquire(
     hypotheses = [h for h in hypotheses_for(simulators[0], fitted, push_fitted) if h.term not in base.model.terms]
     scores = screen(Task(simulators[:1], [frames], BANDWIDTH, finest), base, [*hypotheses, _learned()], parts[:2])
     learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
-    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push, finest, astray)
+    turned = balance(replicas[: 1 + len(transfer)])
+    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push, finest, astray, turned)
 
     best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
-    told = inquiry.balance.speaks_for if inquiry.balance else ()
+    told = turned.speaks_for if turned else ()
     chosen = sorted(best, key=lambda score: (score.hypothesis.effect in told, promise(score)), reverse=True)[: preset.refits]
     chosen = confirm(wide, base, chosen, parts[2:])
     progress(f"refitting {', '.join(s.hypothesis.effect for s in chosen)}")

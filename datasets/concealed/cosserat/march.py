@@ -9,7 +9,7 @@ import numpy as np
 
 from ...synthetic.simulate import GRAVITY
 from ..bodies import Body
-from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable
+from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable, filmed
 from ..finite.contact import gaps
 from ..motions import Script
 
@@ -184,13 +184,7 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
         poses = slice(step * small, (step + 1) * small + 1)
         world.step(np.ascontiguousarray(position[:, poses]), np.ascontiguousarray(rotation[:, poses]), external)
     sampled = (settle + np.arange(script.frames) * substeps) * small
-    return Motion(
-        np.array(frames),
-        position[:, sampled],
-        rotation[:, sampled],
-        world.gripped,
-        {name: round(time * FPS) for name, time in world.events.items()},
-    )
+    return filmed(world, script, frames, paths, sampled)
 
 
 def imported():
