@@ -20,7 +20,7 @@ from .planner import experiment
 from .report import write_report
 from .verdict import NONE, Calibration, Decision, alike, calibration, context, decide, readings
 
-__all__ = ["NAMES", "Diagnosis", "diagnose"]
+__all__ = ["NAMES", "Diagnosis", "affordable", "diagnose", "noise_floor"]
 
 NAMES = (
     *("quadratic_drag", "plate_drag", "wind", "gravity_tilt", "strain_stiffening", "compression_softening", "anisotropy", "bending"),
@@ -88,7 +88,7 @@ def diagnose(
         transfer,
         fitted_on,
         train_end=scenario.split.train_end,
-        preset=_affordable(PRESETS[preset], scenario),
+        preset=affordable(PRESETS[preset], scenario),
         device=device,
         progress=progress,
     )
@@ -117,7 +117,7 @@ def diagnose(
         "evidence": {
             "hypotheses": _table(inquiry, decision),
             "clusters": _clusters(inquiry),
-            "noise_floor": _noise_floor(inquiry),
+            "noise_floor": noise_floor(inquiry),
             "notes": _notes(inquiry, decision),
             "recordings": _recordings(inquiry),
             "readings": [{"effect": r.effect, "term": r.term, **r.features} for r in found],
@@ -136,20 +136,20 @@ def diagnose(
     return Diagnosis(result, arrays, inquiry, chosen)
 
 
-def _affordable(preset: Preset, scenario: Scenario) -> Preset:
+def affordable(preset: Preset, scenario: Scenario) -> Preset:
     """Fewer nodes where a recording is long, so that a diagnosis takes minutes."""
     frames = len(scenario.points)
     return replace(preset, nodes=int(max(60, preset.nodes * min(1.0, (LONG / frames) ** 0.5))))
 
 
-def _noise_floor(inquiry):
+def noise_floor(inquiry: Inquiry) -> float:
     """Mean length [m] of the noise vector of a node: sqrt(8 / pi) standard deviations of a coordinate."""
     return float(np.sqrt(8 / np.pi) * inquiry.case.sightings.noise)
 
 
 def _errors(inquiry, chosen: Refit | None, free):
     """Mean errors of free runs by part, ``free`` (F, n, 3) that of the baseline on the case; several transfer recordings count alike."""
-    floor, out = _noise_floor(inquiry), {}
+    floor, out = noise_floor(inquiry), {}
     for name, parts in (("train", ["train"]), ("heldout", ["heldout"]), ("transfer", inquiry.transferred)):
         if not parts:
             continue
@@ -231,7 +231,7 @@ def _when(inquiry, decision: Decision, chosen, change):
     if decision.effect not in SUDDEN:
         return {"frames": [0, frames]}
     far = np.sort(np.nan_to_num(change), axis=1)[:, -max(1, change.shape[1] // 20) :].mean(1)
-    limit = max(DEPARTS * far.max(), 2 * _noise_floor(inquiry))
+    limit = max(DEPARTS * far.max(), 2 * noise_floor(inquiry))
     late = np.flatnonzero(far > limit)
     return {"frames": [int(late[0]) if len(late) else 0, frames]}
 
@@ -339,7 +339,7 @@ def _why(refit, score, gains, transfer, decision):
 def _clusters(inquiry):
     """Patches and times in which the baseline and the training frames part."""
     simulator, replica = inquiry.simulators[0], inquiry.case
-    found = clusters(simulator, inquiry.watched[0][: inquiry.train_end], floor=max(_noise_floor(inquiry), 1e-4))[:8]
+    found = clusters(simulator, inquiry.watched[0][: inquiry.train_end], floor=max(noise_floor(inquiry), 1e-4))[:8]
     out = []
     for one in found:
         middle = replica.nodes[one.nodes].mean(0)
@@ -393,7 +393,7 @@ def _arrays(inquiry, before, after):
         arrays[f"force_{r}"] = inquiry.push[r]
         if replica.recording.controllers.size:
             arrays[f"controllers_{r}"] = replica.recording.controllers[: replica.frames]
-        curves[replica.name] = {"baseline": _curve(replica, before[r]), "noise_floor": _noise_floor(inquiry)}
+        curves[replica.name] = {"baseline": _curve(replica, before[r]), "noise_floor": noise_floor(inquiry)}
         if after:
             arrays[f"extended_{r}"] = after[r]
             curves[replica.name]["extended"] = _curve(replica, after[r])

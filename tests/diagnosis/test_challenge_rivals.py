@@ -70,6 +70,12 @@ def test_the_oracle_names_what_it_was_told_and_gains_by_it(answered):
     assert np.linalg.norm(tilt[1:]) < 0.1 * tilt[0] and 2 < tilt[0] < 5
 
 
+def test_the_oracle_needs_no_refits_of_the_diagnosis(given, answered):
+    alone = Given(given.fit, given.transfer, label=LABEL)
+    assert rivals()["oracle"].answer(alone) == answered["oracle"]
+    assert "diagnosis" not in vars(alone)
+
+
 @pytest.mark.parametrize(("kind", "verdict"), [("control", "adequate"), ("outside", "unknown")])
 def test_the_oracle_says_what_there_is(given, kind, verdict):
     told = replace(given, label={"kind": kind, "effect": None})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
@@ -50,6 +50,17 @@ class Given:
     def inquiry(self) -> Inquiry:
         """All that the diagnosis looked at: the fitted twin, the hypotheses with their scores, refits, errors."""
         return self.diagnosis.inquiry
+
+    @cached_property
+    def unrefitted(self) -> Inquiry:
+        """The same without the refits, most of the work: the fitted twin, and the hypotheses with their scores."""
+        from ....diagnosis.diagnose import affordable
+        from ....diagnosis.inquiry import PRESETS, inquire
+
+        if "diagnosis" in vars(self):
+            return self.inquiry
+        preset = affordable(replace(PRESETS[self.preset], refits=0), self.fit)
+        return inquire(self.fit, [self.transfer], train_end=self.fit.split.train_end, preset=preset, device=self.device)
 
 
 class Rival(ABC):

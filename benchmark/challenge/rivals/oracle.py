@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ....diagnosis.diagnose import noise_floor
 from ....diagnosis.hypotheses import Hypothesis
 from ....diagnosis.inquiry import PRESETS
 from ....diagnosis.refit import evaluate, refit
@@ -27,7 +28,8 @@ class Oracle(Rival):
     told = True
 
     def answer(self, given):
-        label, inquiry, floor = given.label, given.inquiry, given.diagnosis.result["evidence"]["noise_floor"]
+        label, inquiry = given.label, given.unrefitted
+        floor = noise_floor(inquiry)
         if label["kind"] == "control":
             return answer("adequate", fit=mean_of(inquiry, inquiry.base, inquiry.base, floor))
         if label["kind"] == "outside":
