@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
+from math import ceil, log
 
 import numpy as np
 
@@ -16,15 +20,19 @@ from ..physics.terms.observer import Observer
 from ..physics.terms.stiffness_field import StiffnessField
 from ..physics.terms.stiffness_level import StiffnessLevel
 from .fit import Fit, Task, fit
-from .model import Knob, Model
+from .model import MOST, Knob, Model, Simulator
 from .replica import Replica
 
-__all__ = ["baseline_model", "first_fit"]
+__all__ = ["baseline_model", "first_fit", "steady"]
 
 LEVELS = tuple(10.0 ** np.arange(1.0, 5.01, 0.5))  # N per unit strain and particle of unit mass, tried first
 DASHPOTS = (0.5, 5.0)  # N s/m
 FAR = 1.5  # node spacings: what is farther apart are no next neighbours
 STARTS = 2  # of the grid's best that are fitted
+STILL = 0.4  # spreads by which the drag of things in still air differs: more of it stands in for what grows with the square of speed
+FINER = 1.25  # steps in which a bound on the stiffness is looked for
+STIFFNESSES = ("body_stiffness", "grip_stiffness")
+STEADY = 0.4  # of the substeps that a frame may have: what a stiffness may take, so that the other numbers of a fit have room
 
 
 def baseline_model(replicas: list[Replica]) -> Model:
@@ -37,7 +45,7 @@ def baseline_model(replicas: list[Replica]) -> Model:
     knobs = [
         Knob("body_stiffness", 1e3, 1.0, 1.0, 1e6, log=True),
         Knob("dashpot_damping", 3.0, 1.5, 1e-3, 200.0, log=True),
-        Knob(drag.parameters[0].name, 1.0, 1.5, 1e-3, 20.0, log=True),
+        Knob(drag.parameters[0].name, 1.0, 1.5, 1e-3, 20.0, log=True, prior=STILL),
     ]
     values = {"controller_velocity": 1.0}
     if tied:
@@ -63,6 +71,21 @@ def baseline_model(replicas: list[Replica]) -> Model:
     return Model(tuple(terms), values, tuple(knobs))
 
 
+def steady(model: Model, simulators: Sequence[Simulator]) -> Model:
+    """The model with its stiffnesses bounded by what the substeps of a frame carry: stiffer bodies and grips look the same, and blow up."""
+    values = model.decode(np.zeros(len(model.knobs)))
+
+    def bounded(knob):
+        if knob.name not in STIFFNESSES:
+            return knob
+        tried = np.geomspace(knob.start, knob.high, 1 + ceil(log(knob.high / knob.start) / log(FINER)))
+        rows = [{**values, knob.name: stiffness} for stiffness in tried]
+        heavy = bisect_right(rows, False, key=lambda row: max(s.substeps(model.terms, row) for s in simulators) > STEADY * MOST)
+        return replace(knob, high=float(tried[max(0, heavy - 1)]))
+
+    return replace(model, knobs=tuple(bounded(knob) for knob in model.knobs))
+
+
 def first_fit(task: Task, model: Model, *, iterations: int) -> Fit:
     """Try a grid of stiffness and damping, then fit from its best points and keep the better end."""
     names = model.names
@@ -85,7 +108,5 @@ def first_fit(task: Task, model: Model, *, iterations: int) -> Fit:
 
 def _recentred(model, z):
     """The model with its knobs' starts at ``z``: a prior says how far from a good start they may drift, not from a guess."""
-    from dataclasses import replace
-
     knobs = tuple(replace(k, start=k.decode(u)) for k, u in zip(model.knobs, z, strict=True))
     return replace(model, knobs=knobs)

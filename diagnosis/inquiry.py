@@ -11,7 +11,7 @@ import numpy as np
 from ..datasets.scenario import Observed
 from ..physics.terms.residual_field import ResidualField
 from .balance import Balance, balance
-from .baseline import baseline_model, first_fit
+from .baseline import baseline_model, first_fit, steady
 from .fit import FINEST, LOST, Fit, Task, mean_error
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
@@ -156,7 +156,7 @@ def inquire(
     parts += [Part(f"transfer_{k}" if k else "transfer", k + 1, 0, replicas[k + 1].frames) for k in range(len(transfer))]
 
     progress("fitting the twin")
-    model, finest, astray = baseline_model(replicas), FINEST, None
+    model, finest, astray = steady(baseline_model(replicas), simulators), FINEST, None
     if fitted_on:
         others = simulators[1 + len(transfer) :]
         found = first_fit(Task(others, [s.replica.frames for s in others], BANDWIDTH), model, iterations=preset.first)

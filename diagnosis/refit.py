@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .fit import Fit, Frames, Task, counted, fit, floor_of
+from .fit import Fit, Frames, Task, counted, fit, floor_of, remoteness
 from .foresight import foreseen
 from .model import Model
 from .parts import Part, nobody
@@ -21,7 +21,8 @@ TRIAL = 2  # steps after which the better of a near and a far start goes on
 DECADES = (0.5, 2.0, 8.0, 40.0)  # of a noticeable size, where one number is the effect's whole size
 ELSEWHERE = 8  # further places and shapes of a term, the best by their scores, at which far starts are looked for
 DAMPED = {"drag_damping": 0.03, "air_drag": 0.03, "dashpot_damping": 0.5}
-RELEASES = ({}, {"body_stiffness": 0.3}, DAMPED)  # of what the fit had to put in its place
+USUAL = {"drag_damping": None, "air_drag": None}
+RELEASES = ({}, {"body_stiffness": 0.3}, DAMPED, USUAL)  # of what the fit had to put in its place: by factors, None to what is expected
 
 
 @dataclass(frozen=True)
@@ -88,21 +89,24 @@ def _starts(base: Fit, model: Model, score: Score) -> tuple[list[np.ndarray], li
 
 
 def _at(base, model, amplitudes, release):
-    """The baseline's z with amplitudes set and nuisances moved by factors."""
+    """The baseline's z with amplitudes set and nuisances moved by factors, or back to where they were expected."""
     z = np.concatenate([base.z, np.zeros(len(model.knobs) - len(base.z))])
     for k, knob in enumerate(model.knobs):
         if knob.name in amplitudes:
             z[k] = knob.encode(np.clip(amplitudes[knob.name], knob.low, knob.high))
         elif knob.name in release:
-            z[k] = knob.encode(np.clip(release[knob.name] * knob.decode(z[k]), knob.low, knob.high))
+            factor = release[knob.name]
+            z[k] = 0.0 if factor is None else knob.encode(np.clip(factor * knob.decode(z[k]), knob.low, knob.high))
     return z
 
 
 def _costs(task, model, starts):
-    """(S,) misfits of the starts, infinite where the twin blows up: what is linear near nothing need not be so at its full size."""
+    """(S,) losses of the starts, infinite where the twin blows up: what is linear near nothing need not be so at its full size."""
     steps = [max(of) for of in zip(*(task.substeps(model, z) for z in starts), strict=True)]
     found = task.residuals(task.predict(model, starts, steps))
-    return np.array([task.by_frame.misfit(r) if np.isfinite(r).all() else np.inf for r in found])
+    wide = np.array([k.prior for k in model.knobs])
+    far = [remoteness(z / wide) for z in starts]
+    return np.array([task.by_frame.misfit(r) + d if np.isfinite(r).all() else np.inf for r, d in zip(found, far, strict=True)])
 
 
 def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[Replica], np.ndarray] = nobody) -> Verdictable:
