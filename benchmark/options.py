@@ -1,4 +1,4 @@
-"""What options of the command line are checked for."""
+"""What commands share: the options that several have, and what they are checked for."""
 
 from __future__ import annotations
 
@@ -6,8 +6,14 @@ import errno
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Annotated
 
-__all__ = ["known", "writable"]
+from tyro.conf import arg
+
+__all__ = ["DEVICES", "PRESETS", "SPLITS", "Names", "chosen", "chosen_methods", "chosen_metrics", "first_line", "known", "writable"]
+
+PRESETS, DEVICES, SPLITS = ("quick", "full"), ("cpu", "cuda"), ("published", "clean")
+Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
 
 
 def known(kind: str, names: Iterable[str], choices: Iterable[str]) -> None:
@@ -28,3 +34,32 @@ def writable(path: Path, *, option: str = "--out") -> Path:
     except OSError as error:
         raise ValueError(f"{path}: not a folder that results can be written to ({error.strerror}); choose another with {option}") from error
     return path
+
+
+def first_line(thing) -> str:
+    """Of a docstring: what a list says of it."""
+    return (thing.__doc__ or "").strip().split("\n")[0]
+
+
+def chosen_methods(names: Iterable[str]) -> dict:
+    """The methods of these names, "all" among them: all but a diagnosis."""
+    from ..methods.registry import methods
+
+    found = methods()
+    every = [name for name, method in found.items() if getattr(method, "room", "") == "methods"]  # a diagnosis takes as long as all others
+    return chosen("method", [one for name in names for one in (every if name == "all" else [name])], found)
+
+
+def chosen_metrics(names: Iterable[str] = ()) -> dict:
+    """The metrics of these names; all where there are none."""
+    from ..metrics.base import metrics
+
+    found = metrics()
+    return chosen("metric", names, found) if names else found
+
+
+def chosen(kind: str, names: Iterable[str], found: dict) -> dict:
+    """Those of ``found`` that are named, with commas between names or not."""
+    names = [name for entry in names for name in entry.split(",") if name]
+    known(kind, names, found)
+    return {name: found[name] for name in dict.fromkeys(names)}

@@ -11,8 +11,9 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from twinbench.benchmark import cli
+from twinbench.benchmark import commands
 from twinbench.benchmark.challenge.commands import COMMANDS as CHALLENGE
+from twinbench.benchmark.cli import Challenge
 from twinbench.benchmark.plan import TASKS
 from twinbench.benchmark.results import read_results
 from twinbench.benchmark.table import blocks
@@ -27,8 +28,7 @@ EXAMPLE = re.search(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)[1]
 TABLE = re.search(r"^```text\n(.*?)^```$", TEXT, re.M | re.S)[1]
 INSTALL_AND_RUN, INSTALL_AND_TEST = COMMANDS[:2]
 
-SUBCOMMANDS = {"run": cli.Run, "table": cli.Table, "picture": cli.Picture, "check": cli.Check, "download": cli.Download, "list": cli.List}
-SUBCOMMANDS |= {"diagnose": cli.Diagnose, "concealed": cli.Concealed, "challenge": cli.Challenge, "real": cli.Real}
+SUBCOMMANDS = commands.COMMANDS | {"challenge": Challenge}
 
 
 def parts(command):

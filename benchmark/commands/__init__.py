@@ -1,0 +1,25 @@
+"""The commands of ``twinbench``, a file each."""
+
+from .check import Check
+from .concealed import Concealed
+from .diagnose import Diagnose
+from .download import Download
+from .list import List
+from .picture import Picture
+from .real import Real
+from .run import Run
+from .table import Table
+
+__all__ = ["COMMANDS"]
+
+COMMANDS = {
+    "run": Run,
+    "table": Table,
+    "picture": Picture,
+    "check": Check,
+    "download": Download,
+    "list": List,
+    "diagnose": Diagnose,
+    "concealed": Concealed,
+    "real": Real,
+}

@@ -1,0 +1,41 @@
+"""``twinbench real``: studies of real recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from ..options import DEVICES, known, writable
+
+__all__ = ["Real"]
+
+
+@dataclass(frozen=True)
+class Real:
+    """Ask twins of real recordings which physics they lack, and score them with it on recordings that nobody fitted."""
+
+    study: Annotated[Positional[str], arg(metavar="STUDY")]
+    """cables: ropes held at both ends (DEFORM), extended term by term. hand, weight, gravity: something is kept from the twin."""
+    data: Annotated[Path, arg(metavar="PATH")] = Path("data_set")
+    """Folder of the recordings: for cables data_set, for the others what holds data_set, dataset and softbeam."""
+    seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0, 1, 2)
+    """Seeds; each draws other recordings to fit and other starts."""
+    device: str = "cpu"
+    """cpu or cuda."""
+    out: Annotated[Path, arg(metavar="DIR")] = Path("results/real")
+    """Folder for the tables."""
+
+    def __call__(self) -> int:
+        from .. import real_cables, real_cases
+
+        studies = {"cables": real_cables.run} | dict.fromkeys(real_cases.CASES, partial(real_cases.run, self.study))
+        known("study", [self.study], studies)
+        known("device", [self.device], DEVICES)
+        options = {"seeds": self.seeds} if self.study == "cables" else {}
+        studies[self.study](self.data, writable(self.out), device=self.device, **options)
+        print(f"Written to {self.out}")
+        return 0

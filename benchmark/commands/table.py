@@ -1,0 +1,31 @@
+"""``twinbench table``: a table again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from ..options import known
+
+__all__ = ["Table"]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Print again the table of a folder that twinbench run wrote."""
+
+    folder: Annotated[Positional[Path], arg(metavar="DIR")]
+    """Folder with rows.parquet."""
+    format: str = "terminal"
+    """terminal, markdown or latex."""
+
+    def __call__(self) -> int:
+        from .. import table
+        from ..results import read_results
+
+        known("format", [self.format], ("terminal", "markdown", "latex"))
+        print(getattr(table, self.format)(read_results(self.folder)))
+        return 0
