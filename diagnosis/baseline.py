@@ -29,7 +29,6 @@ LEVELS = tuple(10.0 ** np.arange(1.0, 5.01, 0.5))  # N per unit strain and parti
 DASHPOTS = (0.5, 5.0)  # N s/m
 FAR = 1.5  # node spacings: what is farther apart are no next neighbours
 STARTS = 2  # of the grid's best that are fitted
-STILL = 0.4  # spreads by which the drag of things in still air differs: more of it stands in for what grows with the square of speed
 FINER = 1.25  # steps in which a bound on the stiffness is looked for
 STIFFNESSES = ("body_stiffness", "grip_stiffness")
 STEADY = 0.4  # of the substeps that a frame may have: what a stiffness may take, so that the other numbers of a fit have room
@@ -45,7 +44,7 @@ def baseline_model(replicas: list[Replica]) -> Model:
     knobs = [
         Knob("body_stiffness", 1e3, 1.0, 1.0, 1e6, log=True),
         Knob("dashpot_damping", 3.0, 1.5, 1e-3, 200.0, log=True),
-        Knob(drag.parameters[0].name, 1.0, 1.5, 1e-3, 20.0, log=True, prior=STILL),
+        Knob(drag.parameters[0].name, 1.0, 1.5, 1e-3, 20.0, log=True),
     ]
     values = {"controller_velocity": 1.0}
     if tied:

@@ -143,7 +143,7 @@ class Fit:
     """Where a fit ended.
 
     z           (K,) the knobs
-    loss        its misfit (``Frames.misfit``) and how unlikely its numbers are (``remoteness``); infinite where the simulation blew up
+    loss        its misfit (``Frames.misfit``); infinite where the simulation blew up
     covariance  (K, K) of z
     history     the mean squared innovation [m^2] at the start and after every step
     """
@@ -157,6 +157,11 @@ class Fit:
     @property
     def values(self) -> dict[str, float]:
         return self.model.decode(self.z)
+
+    @property
+    def cost(self) -> float:
+        """What was minimised: the loss, and how unlikely its numbers are (``remoteness``)."""
+        return self.loss + remoteness(self.z / np.array([k.prior for k in self.model.knobs]))
 
 
 def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
@@ -213,7 +218,7 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         # Every second Jacobian is a secant (Broyden 1965): a knob's column costs a roll-out, an update costs none.
         slopes, exact = (slopes + np.outer(change - slopes @ step, step / max(step @ step, 1e-12)), False) if exact else (None, True)
     covariance = np.linalg.pinv(INDEPENDENT * np.nan_to_num(normal) + np.diag(1 / wide**2))
-    return Fit(model, z, by_frame.misfit(residual) + remoteness(z / wide), covariance, tuple(history))
+    return Fit(model, z, by_frame.misfit(residual), covariance, tuple(history))
 
 
 def turned(model: Model, z) -> tuple[np.ndarray, np.ndarray]:

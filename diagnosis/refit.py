@@ -55,7 +55,7 @@ def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, sp
             same = [s for s in others if s.hypothesis.term is score.hypothesis.term and s is not score][:ELSEWHERE]
             ways[-1] = min([ways[-1], *(_far(base, s, spacing) for s in same)], key=lambda way: _costs(task, *way).min())
         tried = [fit(task, model, starts[int(np.argmin(_costs(task, model, starts)))], iterations=TRIAL) for model, starts in ways]
-        first = min(tried, key=lambda f: f.loss)
+        first = min(tried, key=lambda f: f.cost)
         fits.append(fit(task, first.model, first.z, iterations=iterations - TRIAL))
     return fits
 
@@ -101,7 +101,7 @@ def _at(base, model, amplitudes, release):
 
 
 def _costs(task, model, starts):
-    """(S,) losses of the starts, infinite where the twin blows up: what is linear near nothing need not be so at its full size."""
+    """(S,) costs of the starts (``Fit.cost``), infinite where the twin blows up: what is linear near nothing need not be so at full size."""
     steps = [max(of) for of in zip(*(task.substeps(model, z) for z in starts), strict=True)]
     found = task.residuals(task.predict(model, starts, steps))
     wide = np.array([k.prior for k in model.knobs])
