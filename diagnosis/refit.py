@@ -101,7 +101,7 @@ def _at(base, model, amplitudes, release):
 
 
 def _costs(task, model, starts):
-    """(S,) costs of the starts (``Fit.cost``), infinite where the twin blows up: what is linear near nothing need not be so at full size."""
+    """(S,) costs of the starts (``Fit.cost``), infinite where the twin blows up: what is linear near nothing need not be so in full."""
     steps = [max(of) for of in zip(*(task.substeps(model, z) for z in starts), strict=True)]
     found = task.residuals(task.predict(model, starts, steps))
     wide = np.array([k.prior for k in model.knobs])
