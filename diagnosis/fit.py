@@ -161,7 +161,7 @@ class Fit:
     @property
     def cost(self) -> float:
         """What was minimised: the loss, and how unlikely its numbers are (``remoteness``)."""
-        return self.loss + remoteness(self.z / np.array([k.prior for k in self.model.knobs]))
+        return self.loss + remoteness(self.z / self.model.wide)
 
 
 def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
@@ -176,7 +176,7 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
     if not len(z):
         return Fit(model, z, by_frame.misfit(residual), np.zeros((0, 0)), tuple(history))
     normal = np.eye(len(z))
-    wide = np.array([k.prior for k in knobs])
+    wide = model.wide
     damping = 1.0
     slopes, exact = None, True
     for _ in range(iterations):

@@ -29,7 +29,7 @@ def foreseen(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
     ``task`` has all recordings. What it costs the fitted part, and Occam's factor, are shared among the others. Nodes that ``leave`` names
     do not count. Infinite where the twin blows up.
     """
-    knobs, z = found.model.knobs, found.z
+    z = found.z
     trials, widths = turned(found.model, z)
     rows = [found.values, *(found.model.decode(t) for t in trials)]
     substeps = [ceil(MARGIN * n) for n in task.substeps(found.model, z)]
@@ -39,7 +39,7 @@ def foreseen(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
     if not all(np.isfinite(r).all() for r in origin):
         return {p.name: np.inf for p in parts[1:]}
     slopes = [finite(((r[1:] * c - o) / widths[:, None]).T) for r, c, o in zip(residuals, counted, origin, strict=True)]
-    wide = np.array([k.prior for k in knobs])
+    wide = found.model.wide
 
     def misfits(shift):
         return np.array([f.misfit(o + s @ shift) for f, o, s in zip(frames, origin, slopes, strict=True)])

@@ -63,6 +63,11 @@ class Model:
     def names(self) -> tuple[str, ...]:
         return tuple(k.name for k in self.knobs)
 
+    @property
+    def wide(self) -> np.ndarray:
+        """(K,) spreads within which each knob is expected."""
+        return np.array([k.prior for k in self.knobs])
+
     def decode(self, z) -> dict[str, float]:
         """All parameter values at ``z`` (K,)."""
         return {**self.values, **{k.name: k.decode(float(u)) for k, u in zip(self.knobs, z, strict=True)}}

@@ -104,8 +104,7 @@ def _costs(task, model, starts):
     """(S,) costs of the starts (``Fit.cost``), infinite where the twin blows up: what is linear near nothing need not be so in full."""
     steps = [max(of) for of in zip(*(task.substeps(model, z) for z in starts), strict=True)]
     found = task.residuals(task.predict(model, starts, steps))
-    wide = np.array([k.prior for k in model.knobs])
-    far = [remoteness(z / wide) for z in starts]
+    far = [remoteness(z / model.wide) for z in starts]
     return np.array([task.by_frame.misfit(r) + d if np.isfinite(r).all() else np.inf for r, d in zip(found, far, strict=True)])
 
 
