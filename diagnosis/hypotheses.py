@@ -25,7 +25,7 @@ PEAKS, SPREAD = 4, 4  # places tried: where the observer pushes most, and evenly
 LIMP = 0.1  # share of a body's extent that stands out by itself where bending is noticeable
 PART = 0.25  # of a body's extent: what reaches farther is no part of it
 ANY = 10.0  # noticeable sizes: an effect may be as large
-DOUBTS = {"gravity_tilt": 0.02, "wind": 0.1}  # of that, along gravity: what would do no more than change the weight
+DOUBTS = {"gravity_tilt": 0.0, "wind": 0.1}  # of that, along gravity: a tilt has no such part, and a wind's would only change the weight
 FOLLOWED = 2.0  # reaches of a patch within which its nodes follow what was seen
 STAGES_IN_ONE = ("axial", "facet", "body", "observer", "velocity", "setup")  # laws that cost little where their amplitude is 0
 
@@ -93,10 +93,8 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
             continue
         effect, known = term.effect, {p.name: p for p in term.parameters}
         size = _noticeable(simulator.replica, term)
-        knobs = tuple(
-            Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=ANY * _doubtful(term, a, simulator.replica.recording))
-            for a in effect.amplitudes
-        )
+        doubts = {a: ANY * _doubtful(term, a, simulator.replica.recording) for a in effect.amplitudes}
+        knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=doubt) for a, doubt in doubts.items() if doubt > 0)
         widest = PART * float(np.linalg.norm(np.ptp(simulator.replica.nodes, axis=0)))
         shapes = {n: _reaches(of, widest, simulator.replica.spacing) if n == effect.within else of for n, of in effect.shapes.items()}
         for shape in product(*shapes.values()):
@@ -131,7 +129,7 @@ def _rigidity(replica, term) -> float:
 
 
 def _doubtful(term, amplitude, recording):
-    """How far in doubt an amplitude is: gravity may point elsewhere than is said, its size is known; winds blow level, or nearly so."""
+    """How far in doubt an amplitude is: gravity may point elsewhere, its size is known; winds blow level, or nearly so."""
     least = DOUBTS.get(term.name)
     if least is None or not np.any(recording.gravity):
         return 1.0

@@ -26,6 +26,7 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
 FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
+FIXED = 3  # times as many steps for refits beside a twin that is fixed: they have few numbers to turn, and far to go
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
 
@@ -162,9 +163,10 @@ def inquire(
         found = first_fit(Task(others, [s.replica.frames for s in others], BANDWIDTH), model, iterations=preset.first)
         finest, astray = _shown(found, len(others)), _astray(found, others)
     task = Task(simulators[:1], [train], BANDWIDTH, finest)
+    steps = preset.steps * (FIXED if fitted_on else 1)
     start = _firm(found) if fitted_on else first_fit(task, model, iterations=preset.first)
     wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH, finest)
-    base = refit(task, start, [], iterations=preset.steps, spacing=replicas[0].spacing)[0]
+    base = refit(task, start, [], iterations=steps, spacing=replicas[0].spacing)[0]
     watched = [wide.predict(base.model, [base.z])[k][0] for k in range(len(wide.simulators))]
     push = [missing_acceleration(s.replica, x, BANDWIDTH) for s, x in zip(wide.simulators, watched, strict=True)]
 
@@ -186,7 +188,7 @@ def inquire(
     rivals = {k: score for k, score in elsewhere.items() if score is not None}
     ranked = sorted(scores, key=promise, reverse=True) if fitted_on else ()  # a twin that is fixed leaves all of an effect to be explained
     asked = [*chosen, learned, *rivals.values()]
-    fits = refit(task, base, asked, iterations=preset.steps, spacing=replicas[0].spacing, others=ranked)
+    fits = refit(task, base, asked, iterations=steps, spacing=replicas[0].spacing, others=ranked)
     others = dict(zip(rivals, fits[2 + len(chosen) :], strict=True))
     base = foresighted(wide, evaluate(wide, fits[0], parts), parts)
     yardstick = Refit(learned, foresighted(wide, evaluate(wide, fits[1 + len(chosen)], parts), parts), base)

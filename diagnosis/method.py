@@ -93,7 +93,8 @@ def named(found: Diagnosis, body: Body) -> Term | None:
     if found.chosen is None or found.chosen.score.hypothesis.term.stage not in STAGES:
         return None
     kind, replica = found.chosen.score.hypothesis.term, found.inquiry.case
-    values = {p.name: v for p in kind.parameters if (v := found.chosen.found.fit.values.get(p.name)) is not None}
+    fitted, told = found.chosen.found.fit.values, found.inquiry.simulators[0].fixed((kind,))
+    values = {p.name: v for p in kind.parameters if (v := told.get(p.name, fitted.get(p.name))) is not None}
     if "slip_force" in values:
         values["slip_force"] *= len(body.home) / len(replica.nodes) * replica.links.sum() / max(1, len(body.pulls))
     bounds = {p.name: (p.low, p.high) for p in kind.parameters}

@@ -99,7 +99,7 @@ class Simulator:
         recording, values = self.replica.recording, {}
         known = {p.name for t in terms for p in t.parameters}
         for axis, g in zip("xyz", recording.gravity, strict=True):
-            values[f"gravity_{axis}"] = float(g)
+            values[f"gravity_{axis}"] = values[f"told_gravity_{axis}"] = float(g)
         if recording.ground is not None:
             for axis, n in zip("xyz", recording.ground.normal, strict=True):
                 values[f"ground_normal_{axis}"] = values[f"adhesion_normal_{axis}"] = float(n)

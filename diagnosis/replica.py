@@ -33,6 +33,7 @@ LYING = 0.6  # node spacings: what is higher does not lie
 CELLS = 20000  # of a grid by which volumes are told
 LEAST = 0.35  # of the mean mass: what is lighter would only need shorter steps
 NOTHING = 1e-3  # of the mean mass, of what is held and needs none
+SAME = 1e-4  # m, by which the particles of one lattice may be off in two recordings
 STILL = 3.0  # start velocities below this many standard errors are noise
 
 
@@ -77,6 +78,11 @@ class Replica:
         return self.system.grips[self.system.grips >= 0]
 
     @property
+    def held(self) -> np.ndarray:
+        """Indices of the recording's particles that are held markers; they are its first nodes."""
+        return np.unique(self.recording.grips[self.recording.grips >= 0])
+
+    @property
     def solid(self) -> bool:
         """Whether it is a held body of known inside, of which the nodes stand for volumes."""
         return bool(len(self.driven) and len(self.recording.interior) and not self.system.chains)
@@ -98,21 +104,78 @@ def spread_out(points: np.ndarray, count: int, first: np.ndarray | None = None) 
     return np.array(chosen)
 
 
+@dataclass(frozen=True)
+class _Body:
+    """What a replica is without hands: nodes where they lie in frame 0, what was seen of them, and how they hang together.
+
+    spacing  m, between neighbouring nodes; home (n, 3) where the nodes lie in frame 0 of the recording that places are told in
+    """
+
+    positions: np.ndarray
+    sightings: Sightings
+    spacing: float
+    springs: np.ndarray
+    chains: tuple[np.ndarray, ...]
+    hinges: np.ndarray
+    facets: np.ndarray | None
+    masses: np.ndarray
+    home: np.ndarray
+
+
 def build_replica(recording: Observed, *, nodes: int, like: Replica | None = None, fitted: int | None = None) -> Replica:
     """Draw a body of at most ``nodes`` nodes on a recording.
 
-    ``like`` is a replica of another recording of the object: nodes are then taken until they stand as close as its, so that both bodies
-    have particles of the same size and parameters mean the same, and places are told in its frame 0. Markers that are held (grips) are
-    nodes of their own. What the drawing owes to motion (strands that part, what a hand carries, the start velocity, noise) is read from the
-    first ``fitted`` frames alone, so that held-out frames have no say in it; all of them unless given.
+    ``like`` is a replica of another recording of the object, in whose frame 0 places are told. Where both recordings have the same
+    particles, both replicas have one mesh: two meshes of one beam differ by a fifth in stiffness. Otherwise nodes stand as close as its, so
+    that bodies have particles of the same size and parameters mean the same. Markers that are held (grips) are nodes of their own. What the
+    drawing owes to motion (strands that part, what a hand carries, the start velocity, noise) is read from the first ``fitted`` frames
+    alone, so that held-out frames have no say in it; all of them unless given.
 
     A rope (``ropes.rope_chains``) gets chains and hinges along them, whose natural shape is that of frame 0, and no more nodes than its
     thickness leaves in a row; where its markers are few enough, they are the nodes. Other bodies get the hinges of sheets.
     """
     from scipy.spatial import cKDTree
 
-    structure = recording.structure
     held = np.unique(recording.grips[recording.grips >= 0])
+    body = like and _laid(recording, like, held, fitted)
+    body = body or _drawn(recording, nodes, like, held, fitted)
+    positions, sightings, own = body.positions, body.sightings, body.spacing
+    early = replace(sightings, position=sightings.position[:fitted])
+    hands = np.flatnonzero(recording.grips < 0)
+    ties = hand_ties(recording, positions, early, own, hands)
+    grips = np.full(len(recording.grips), -1)
+    for c, point in enumerate(recording.grips):
+        if point >= 0:
+            grips[c] = int(np.searchsorted(held, point))
+    springs = np.concatenate([body.springs, ties.reshape(-1, 2)])
+    lengths = _lengths(positions, recording.controllers[0], springs)
+    springs, ties_kept = springs[lengths > 1e-5], lengths > 1e-5
+    links = np.concatenate([np.zeros(len(body.springs), bool), np.ones(len(ties), bool)])[ties_kept]
+    system = System(
+        positions=positions,
+        springs=springs,
+        stiffness=np.where(links, lengths[ties_kept] / own, 1.0),  # ties of all lengths pull alike, so that short ones need no short steps
+        masses=body.masses,
+        controllers=recording.controllers,
+        grips=grips,
+        hinges=body.hinges,
+        natural=natural_curvature(positions, body.hinges, body.chains) if body.chains else None,
+        chains=body.chains,
+        facets=body.facets,
+        velocities=_start_velocity(early, positions, recording.fps),
+        seen=sightings.position,
+        home=body.home,
+        terms=(),
+        name=recording.name,
+    )
+    node_of = cKDTree(positions).query(recording.structure)[1]
+    lift = _lift(recording, positions, own, 0.5 if body.chains else LOWEST)
+    return Replica(recording, system, sightings, own, links, node_of, lift)
+
+
+def _drawn(recording, nodes, like, held, fitted) -> _Body:
+    """Nodes as far from each other as so many can be, or as the nodes of ``like`` are."""
+    structure = recording.structure
     marked = _marked_rope(recording, nodes, held, fitted)
     chosen = marked[0] if marked else _in_a_row(structure, spread_out(structure, nodes, held), len(held))
     if like is not None and not marked:
@@ -125,46 +188,35 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
     else:
         positions, sightings = sight_nodes(recording.points, recording.visible, structure[chosen], fitted=fitted)
     positions[: len(held)] = structure[held]  # a driven marker is where it is
-    early = replace(sightings, position=sightings.position[:fitted])
     own = like.spacing if like else _spacing(positions)
-    body = object_springs(positions, radius=REACH * own, max_neighbours=MOST)
-    body = _joined(positions, body)
+    springs = _joined(positions, object_springs(positions, radius=REACH * own, max_neighbours=MOST))
     home = _home(recording, positions, like)
-    chains = _alike(marked[1] if marked else rope_chains(apart(positions, early.position)), home, like)
+    chains = _alike(marked[1] if marked else rope_chains(apart(positions, sightings.position[:fitted])), home, like)
     if chains:
-        body = _along(body, chains)
+        springs = _along(springs, chains)
         if not marked:
             _centre(positions, structure, np.isfinite(sightings.position[0, :, 0]))
-    hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, body)
-    hands = np.flatnonzero(recording.grips < 0)
-    ties = hand_ties(recording, positions, early, own, hands)
-    grips = np.full(len(recording.grips), -1)
-    for c, point in enumerate(recording.grips):
-        if point >= 0:
-            grips[c] = int(np.searchsorted(held, point))
-    springs = np.concatenate([body, ties.reshape(-1, 2)])
-    lengths = _lengths(positions, recording.controllers[0], springs)
-    springs, ties_kept = springs[lengths > 1e-5], lengths > 1e-5
-    links = np.concatenate([np.zeros(len(body), bool), np.ones(len(ties), bool)])[ties_kept]
-    system = System(
-        positions=positions,
-        springs=springs,
-        stiffness=np.where(links, lengths[ties_kept] / own, 1.0),  # ties of all lengths pull alike, so that short ones need no short steps
-        masses=_masses(recording, positions, len(held), chains if marked else ()),
-        controllers=recording.controllers,
-        grips=grips,
-        hinges=hinges,
-        natural=natural_curvature(positions, hinges, chains) if chains else None,
-        chains=chains,
-        facets=None if chains else facets_of(recording, positions, body, own),
-        velocities=_start_velocity(early, positions, recording.fps),
-        seen=sightings.position,
-        home=home,
-        terms=(),
-        name=recording.name,
-    )
-    node_of = cKDTree(positions).query(structure)[1]
-    return Replica(recording, system, sightings, own, links, node_of, _lift(recording, positions, own, 0.5 if chains else LOWEST))
+    hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, springs)
+    facets = None if chains else facets_of(recording, positions, springs, own)
+    masses = _masses(recording, positions, len(held), chains if marked else ())
+    return _Body(positions, sightings, own, springs, chains, hinges, facets, masses, home)
+
+
+def _laid(recording, like: Replica, held, fitted) -> _Body | None:
+    """The body of ``like`` where it lies in ``recording``, if both have the same particles, held alike and moved as a whole; else None.
+
+    None of a rope either, whose natural shape is that of its own frame 0.
+    """
+    known, structure, theirs = like.system, recording.structure, like.recording.structure
+    if known.chains or len(theirs) != len(structure) or not np.array_equal(held, like.held):
+        return None
+    rotation, shift = rigid_transform(theirs, structure)
+    if np.abs(theirs @ rotation.T + shift - structure).max() > SAME:
+        return None
+    positions, sightings = sight_nodes(recording.points, recording.visible, like.nodes @ rotation.T + shift, fitted=fitted, keep=True)
+    positions[: len(held)] = structure[held]
+    springs = known.springs[~like.links]
+    return _Body(positions, sightings, like.spacing, springs, (), known.hinges, known.facets, known.masses, like.nodes)
 
 
 def _masses(recording, positions, held, chains):

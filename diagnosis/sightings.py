@@ -69,12 +69,12 @@ def sight_markers(points, visible, *, fitted: int | None = None) -> Sightings:
     return Sightings(position, count, noise_of(position[:fitted]), np.full(nodes, np.nan), np.zeros(nodes, bool))
 
 
-def sight_nodes(points, visible, nodes, *, fitted: int | None = None) -> tuple[np.ndarray, Sightings]:
+def sight_nodes(points, visible, nodes, *, fitted: int | None = None, keep: bool = False) -> tuple[np.ndarray, Sightings]:
     """Pool tracks ``points`` (T, N, 3) [m], meaningless where not ``visible`` (T, N), at ``nodes`` (n, 3) of frame 0.
 
     A track counts for its nearest node. Each node gets the rigid motion that best carries its neighbourhood from frame 0 (Kabsch), and its
     position is where its own tracks say it is, their offsets turned along. Returns the nodes moved to the middle of their tracks, and
-    what was seen of them; a node without tracks stays and is never seen.
+    what was seen of them; a node without tracks stays and is never seen, and with ``keep`` all stay.
     What counts as noise and as an outlier is told by the first ``fitted`` frames, all unless given: later ones do not change earlier ones.
     """
     from scipy.spatial import cKDTree
@@ -88,7 +88,8 @@ def sight_nodes(points, visible, nodes, *, fitted: int | None = None) -> tuple[n
     middle = np.stack([np.bincount(owner, home[:, c], len(nodes)) for c in range(3)], 1)
     number = np.bincount(owner, minlength=len(nodes))
     seen_nodes = number > 0
-    nodes[seen_nodes] = middle[seen_nodes] / number[seen_nodes, None]
+    if not keep:
+        nodes[seen_nodes] = middle[seen_nodes] / number[seen_nodes, None]
     track = np.where(visible[:, usable, None], points[:, usable], np.nan)
     k = min(NEIGHBOURS, len(usable))
     near = np.atleast_2d(cKDTree(home).query(home, k=k)[1].reshape(len(usable), -1))

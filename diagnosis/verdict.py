@@ -12,6 +12,7 @@ import numpy as np
 
 from .balance import TURNS
 from .fit import floor_of
+from .ground import sunk
 from .hands import held_points
 from .inquiry import Inquiry, Refit
 
@@ -37,7 +38,7 @@ SHOWS = ("shows_train", "shows_unseen")  # told beside what the same term shows 
 GAINS = ("train", "heldout", "transfer", "free_heldout", "free_transfer")
 FEATURES = (*GAINS, "rival", "kept", "extra", *SHOWS, *TURNS)
 STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
-SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen")  # without a simulation
+SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen", "ground_pose_seen", "camera_pose_seen")  # without a simulation
 KINDS = ("chain", "sheet", "solid")
 USUAL = ("learned", "best", "misfit", "unforeseen")  # told beside what is usual of a kind of body where nothing is missing
 CONTEXT = ("chain", "sheet", *(f"{name}_{kind}" for name in USUAL for kind in KINDS), *TURNS)
@@ -194,10 +195,13 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
     """Faults that show in tracks and hands without any simulation."""
     recordings = [s.replica for s in inquiry.simulators[: 1 + inquiry.transfers]]
     hands = [held for replica in recordings for held in held_points(replica.recording)]
+    deep = max(sunk(replica.recording) for replica in recordings)
     shown = {
         "track_drift": max(replica.sightings.slide for replica in recordings) - SLID,
         "controller_delay": max((held.told - TOLD for held in hands if abs(held.lag) >= LATE), default=0.0),
         "grip_slip": max((held.slip - SLIPPED for held in hands), default=0.0),
+        "ground_pose": deep,
+        "camera_pose": deep,  # all that cameras see is lower than it is
     }
     return [Reading(effect, "", dict.fromkeys(FEATURES, 0.0) | {f"{effect}_seen": max(0.0, float(size))}) for effect, size in shown.items()]
 
@@ -248,9 +252,12 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
 
 
 def alike(inquiry: Inquiry) -> list[tuple[str, str]]:
-    """Pairs of effects that do the same to the fitted frames, in so far as no turn of the twin's own numbers does it."""
+    """Pairs of effects that do the same to the fitted frames, in so far as no turn of the twin's own numbers does it.
+
+    A ground that is lower than it is told is one with cameras that see everything lower.
+    """
     best = inquiry.best().values()
-    pairs = set()
+    pairs = {("camera_pose", "ground_pose")}
     for one, other in combinations(best, 2):
         if abs(float(one.direction @ other.direction)) > ALIKE and one.hypothesis.effect != other.hypothesis.effect:
             pairs.add(tuple(sorted((one.hypothesis.effect, other.hypothesis.effect))))

@@ -156,6 +156,16 @@ def test_a_pendulum_rests_along_tilted_gravity():
     np.testing.assert_allclose(rest_place(system), pull / size * 0.5 * (1 + 2.0 * size / 300), rtol=0, atol=SETTLED)
 
 
+@pytest.mark.parametrize("along", [0.0, 3.0])
+def test_tilted_gravity_is_as_strong_as_the_one_that_is_told(along):
+    # thread along g' = g (sin a, 0, -cos a), stretched by Y e = m g, whatever t has along g
+    sine = 0.3
+    told = dict(gravity_z=-G, told_gravity_z=-G, tilt_x=sine * G, tilt_z=along)
+    place = rest_place(hanging(GravityTilt, mass=2.0, stiffness=300.0, **told))
+    wanted = 0.5 * (1 + 2.0 * G / 300) * np.array([sine, 0, -np.sqrt(1 - sine**2)])
+    np.testing.assert_allclose(place, wanted, rtol=0, atol=SETTLED)
+
+
 # ---------------------------------------------------------------- springs
 
 

@@ -57,6 +57,8 @@ VALUES = dict(
     far_share=0.7,
     far_reach=0.025,
     brace_share=0.7,
+    told_gravity_x=1.0,
+    told_gravity_z=-9.8,
 )
 READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
 REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035

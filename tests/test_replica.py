@@ -1,7 +1,10 @@
 """The replica knows a rope when it sees one, and runs along it in order."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed
 from twinbench.diagnosis.model import Simulator
 from twinbench.diagnosis.replica import build_replica
@@ -146,3 +149,30 @@ def test_masses_are_told_as_the_setup_terms_make_them():
     share = mass * np.exp(-((replica.nodes - place) ** 2).sum(1) / (2 * reach**2))
     wanted = mass + 2 * mass.sum() * share / share.sum()
     np.testing.assert_allclose(Simulator(replica).masses((AddedMass,), values), wanted, rtol=1e-5)
+
+
+def carried(body, turn, shift):
+    """The recording of the ``body`` lying turned by ``turn`` (3, 3) and moved by ``shift`` (3,) m."""
+    points = body.points @ turn.T + shift
+    return replace(body, points=points, controllers=points, interior=body.interior @ turn.T + shift)
+
+
+def test_what_has_the_same_particles_has_the_same_mesh():
+    # a regular lattice: which of its particles are farthest from all others is decided by the last digit, and so by a turn
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+    first = build_replica(held_block(), nodes=60)
+    second = build_replica(carried(held_block(), turn, [0.4, 0.1, -0.2]), nodes=60, like=first)
+    np.testing.assert_allclose(second.nodes, first.nodes @ turn.T + [0.4, 0.1, -0.2], atol=1e-12)
+    np.testing.assert_array_equal(second.system.springs, first.system.springs)
+    np.testing.assert_array_equal(second.system.masses, first.system.masses)
+    np.testing.assert_array_equal(second.system.home, first.nodes)
+    np.testing.assert_allclose(second.sightings.position[0, :25], second.nodes[:25], atol=1e-12)
+
+
+def test_what_lies_bent_has_a_mesh_of_its_own():
+    block = held_block()
+    first = build_replica(block, nodes=60)
+    bent = replace(block, interior=block.interior + np.array([0, 0, 1.0]) * block.interior[:, :1] ** 2)
+    second = build_replica(bent, nodes=60, like=first)
+    chosen = np.linalg.norm(second.nodes[25:, None] - bent.interior[None], axis=2).min(1)
+    np.testing.assert_allclose(chosen, 0, atol=1e-12)  # nodes are particles of its own

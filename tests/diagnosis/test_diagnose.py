@@ -119,7 +119,9 @@ def test_the_command_writes_the_interface_and_an_offline_report(folders, tmp_pat
 
 def test_a_name_comes_with_its_parameters_place_and_time(named):
     check(json.loads(json.dumps(named.result, default=float)), points=20, transfer=True)
-    assert named.result["verdict"] in ("missing", "measurement") and named.result["parameters"]
+    # beside another name where both do the same to these frames: a level wind and a tilt are nearly one pull
+    assert named.result["verdict"] == ("ambiguous" if named.result["alternatives"] else "missing")
+    assert named.result["effect"] and named.result["parameters"]
     assert named.result["fit"]["train"]["extended"] < named.result["fit"]["train"]["baseline"]
 
 

@@ -34,10 +34,16 @@ TABLE = Plane(np.array([0.0, 0.0, 1.0]), -0.5)
 GRAVITY_ONLY = {"drag_damping": 0.0}
 
 
+TOLD = {"told_gravity_x": 0.0, "told_gravity_y": 0.0, "told_gravity_z": -9.8}  # m/s^2
+
+
 def answer(term, values, *, verdict="missing", nodes=10, ties=4):
     """A diagnosis that named ``term``, with the numbers of the replica's refit."""
     fit = SimpleNamespace(values=values)
-    inquiry = SimpleNamespace(case=SimpleNamespace(nodes=np.zeros((nodes, 3)), links=np.arange(nodes) < ties))
+    inquiry = SimpleNamespace(
+        case=SimpleNamespace(nodes=np.zeros((nodes, 3)), links=np.arange(nodes) < ties),
+        simulators=[SimpleNamespace(fixed=lambda kinds: TOLD if terms.GravityTilt in kinds else {})],
+    )
     chosen = SimpleNamespace(score=SimpleNamespace(hypothesis=SimpleNamespace(term=term)), found=SimpleNamespace(fit=fit))
     result = {"verdict": verdict, "effect": term.effect.name, "alternatives": [], "probabilities": {term.effect.name: 0.9}}
     return SimpleNamespace(result=result, inquiry=inquiry, chosen=chosen)

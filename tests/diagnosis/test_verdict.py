@@ -88,7 +88,7 @@ def test_effects_with_one_direction_are_alike():
     ways = {"wind": [1.0, 0.0], "gravity_tilt": [-1.0, 0.0], "creep": [0.8, 0.6], "second": [1.0, 0.0]}
     names = {"second": "wind"}
     best = {t: SimpleNamespace(direction=np.array(way), hypothesis=SimpleNamespace(effect=names.get(t, t))) for t, way in ways.items()}
-    assert alike(SimpleNamespace(best=lambda: best)) == [("gravity_tilt", "wind")]
+    assert alike(SimpleNamespace(best=lambda: best)) == [("camera_pose", "ground_pose"), ("gravity_tilt", "wind")]
 
 
 def test_probabilities_are_a_softmax_of_weighted_features():
