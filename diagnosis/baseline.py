@@ -29,9 +29,10 @@ LEVELS = tuple(10.0 ** np.arange(1.0, 5.01, 0.5))  # N per unit strain and parti
 DASHPOTS = (0.5, 5.0)  # N s/m
 FAR = 1.5  # node spacings: what is farther apart are no next neighbours
 STARTS = 2  # of the grid's best that are fitted
+NEARLY, ALIKE = 0.2, 0.1  # of the log of the mean square error: by which starts, and fits, are as good as each other
 FINER = 1.25  # steps in which a bound on the stiffness is looked for
 STIFFNESSES = ("body_stiffness", "grip_stiffness")
-STEADY = 0.4  # of the substeps that a frame may have: what a stiffness may take, so that the other numbers of a fit have room
+STEADY = 0.6  # of the substeps that a frame may have: what a stiffness may take, so that the other numbers of a fit have room
 
 
 def baseline_model(replicas: list[Replica]) -> Model:
@@ -86,7 +87,11 @@ def steady(model: Model, simulators: Sequence[Simulator]) -> Model:
 
 
 def first_fit(task: Task, model: Model, *, iterations: int) -> Fit:
-    """Try a grid of stiffness and damping, then fit from its best points and keep the better end."""
+    """Try a grid of stiffness and damping, then fit from its best points and keep the better end.
+
+    Of a body with an inside, the softest point that does nearly as well as the best is one of them, and the softer end is kept where it
+    does: what two hands hold between them does not say how stiff it is, and runs off to where it is slow to simulate and wrong elsewhere.
+    """
     names = model.names
     grid = []
     for level, dashpot in product(LEVELS, DASHPOTS):
@@ -100,9 +105,14 @@ def first_fit(task: Task, model: Model, *, iterations: int) -> Fit:
     for z in grid:
         residual = task.residuals(task.predict(model, [z]))[0]
         costs.append(task.by_frame.misfit(residual) if np.isfinite(residual).all() else np.inf)
-    best = [grid[i] for i in np.argsort(costs)[:STARTS]]
+    stuffed = any(len(s.replica.recording.interior) for s in task.simulators)
+    order = np.argsort(costs)
+    softest = int(np.argmax(np.array(costs) <= costs[order[0]] + NEARLY))  # levels rise along the grid
+    best = [grid[i] for i in dict.fromkeys([order[0], softest if stuffed else order[1], *order])][:STARTS]
     fits = [fit(task, _recentred(model, z), np.zeros(len(z)), iterations=iterations) for z in best]
-    return min(fits, key=lambda f: f.loss)
+    least = min(f.loss for f in fits)
+    good = [f for f in fits if f.loss <= least + (ALIKE if stuffed else 0.0)]
+    return min(good, key=lambda f: (f.values["body_stiffness"], f.loss)) if good else fits[0]
 
 
 def _recentred(model, z):

@@ -15,7 +15,21 @@ import numpy as np
 from .model import Knob, Model, Simulator
 from .replica import Replica
 
-__all__ = ["Fit", "Frames", "Task", "counted", "doubt", "fit", "gaps", "jacobian", "mean_error", "remoteness", "turned", "weights_of"]
+__all__ = [
+    "Fit",
+    "Frames",
+    "Task",
+    "counted",
+    "doubt",
+    "fit",
+    "gaps",
+    "jacobian",
+    "mean_error",
+    "remoteness",
+    "slopes_at",
+    "turned",
+    "weights_of",
+]
 
 INDEPENDENT = 100.0  # data that a recording is worth: tracks move together, so far fewer than its coordinates
 DAMPINGS = (1e-3, 1e-1, 1.0, 10.0)  # Levenberg-Marquardt dampings tried side by side
@@ -138,6 +152,10 @@ def floor_of(replica: Replica, finest: float = FINEST) -> float:
     return 3 * replica.sightings.noise**2 + finest**2
 
 
+Slopes = tuple[np.ndarray, np.ndarray]  # (R, K) by each knob, (K,) which of them are finite
+EXACT, BORROWED, SECANT = range(3)  # where slopes come from: looked for here, in part elsewhere, or from the last step
+
+
 @dataclass(frozen=True)
 class Fit:
     """Where a fit ended.
@@ -164,8 +182,11 @@ class Fit:
         return self.loss + remoteness(self.z / self.model.wide)
 
 
-def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
-    """Minimise the misfit of the (Huber) innovations plus the knobs' priors from ``z0`` in at most ``iterations`` Gauss-Newton steps."""
+def fit(task: Task, model: Model, z0, *, iterations: int, known: Slopes | None = None) -> Fit:
+    """Minimise the misfit of the (Huber) innovations plus the knobs' priors from ``z0`` in at most ``iterations`` Gauss-Newton steps.
+
+    ``known`` are slopes of the first knobs somewhere near ``z0``: the first step then looks for those of the others alone.
+    """
     z = np.array(z0, float)
     knobs, by_frame = model.knobs, task.by_frame
     substeps = task.substeps(model, z)
@@ -178,13 +199,13 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
     normal = np.eye(len(z))
     wide = model.wide
     damping = 1.0
-    slopes, exact = None, True
+    slopes, ok, age = None, None, EXACT
     for _ in range(iterations):
         if slopes is None:
             substeps = task.substeps(model, z)
             residual = task.residuals(task.predict(model, [z], substeps))[0]
-            slopes, ok = jacobian(task, model, z, residual, substeps)
-            exact = True
+            slopes, ok = jacobian(task, model, z, residual, substeps, known)
+            known, age = None, EXACT if known is None else BORROWED
         tame = np.sqrt(by_frame.huber(residual, residual))
         weighted = slopes * (tame**2 * by_frame.weights(tame * residual))[:, None]
         normal = slopes.T @ weighted
@@ -207,7 +228,7 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
             damping *= 30
             if damping > 1e4:
                 break
-            slopes = slopes if exact else None
+            slopes = slopes if age == EXACT else None
             continue
         damping = float(np.clip(damping * DAMPINGS[best], 1e-4, 1e4))
         step, change = trials[best] - z, found[best] - residual
@@ -216,7 +237,8 @@ def fit(task: Task, model: Model, z0, *, iterations: int) -> Fit:
         if objective - costs[best] < 1e-3:
             break
         # Every second Jacobian is a secant (Broyden 1965): a knob's column costs a roll-out, an update costs none.
-        slopes, exact = (slopes + np.outer(change - slopes @ step, step / max(step @ step, 1e-12)), False) if exact else (None, True)
+        secant = slopes + np.outer(change - slopes @ step, step / max(step @ step, 1e-12))
+        slopes, age = (None, EXACT) if age == SECANT else (secant, SECANT)
     covariance = np.linalg.pinv(INDEPENDENT * np.nan_to_num(normal) + np.diag(1 / wide**2))
     return Fit(model, z, by_frame.misfit(residual), covariance, tuple(history))
 
@@ -230,14 +252,26 @@ def turned(model: Model, z) -> tuple[np.ndarray, np.ndarray]:
     return z + np.diag(steps), np.array(steps)
 
 
-def jacobian(task: Task, model: Model, z, residual, substeps):
-    """(R, K) derivative of the residual by each knob (one-sided, away from a bound), and which columns are finite."""
+def jacobian(task: Task, model: Model, z, residual, substeps, known: Slopes | None = None) -> Slopes:
+    """(R, K) derivative of the residual by each knob (one-sided, away from a bound), and (K,) which columns are finite.
+
+    Those of the first knobs are ``known`` already, if any.
+    """
     trials, steps = turned(model, z)
-    found = task.residuals(task.predict(model, trials, substeps))
-    slopes = ((found - residual) / steps[:, None]).T
-    ok = np.isfinite(slopes).all(0)
-    slopes[:, ~ok] = 0.0
-    return slopes, ok
+    first = 0 if known is None else len(known[1])
+    slopes, ok = known or (np.zeros((len(residual), 0)), np.zeros(0, bool))
+    if first < len(steps):
+        found = task.residuals(task.predict(model, trials[first:], substeps))
+        new = ((found - residual) / steps[first:, None]).T
+        slopes, ok = np.concatenate([slopes, new], 1), np.concatenate([ok, np.isfinite(new).all(0)])
+    return np.where(ok, slopes, 0.0), ok
+
+
+def slopes_at(task: Task, found: Fit) -> Slopes | None:
+    """The slopes where a fit ended; None where it has no knobs, or blew up."""
+    substeps = task.substeps(found.model, found.z)
+    residual = task.residuals(task.predict(found.model, [found.z], substeps))[0]
+    return jacobian(task, found.model, found.z, residual, substeps) if len(found.z) and np.isfinite(residual).all() else None
 
 
 def remoteness(z) -> float:

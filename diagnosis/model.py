@@ -20,7 +20,7 @@ LADDER = 1.15  # substeps come in steps of 15 %, so that finite differences comp
 SAFETY = 0.8  # of the stable step
 BATCH = 64  # systems in one launch
 STIFF = ("axial", "strand", "hinge", "facet")  # stages whose laws say how long a substep may be
-MOST = 300  # substeps a frame: a body that needs more is too stiff to be told from a stiffer one
+MOST = 200  # substeps a frame: a body that needs more is too stiff to be told from a stiffer one
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .fit import Fit, Frames, Task, counted, fit, floor_of, remoteness
+from .fit import Fit, Frames, Task, counted, fit, floor_of, remoteness, slopes_at
 from .foresight import foreseen
 from .model import Model
 from .parts import Part, nobody
@@ -48,13 +48,15 @@ def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, sp
     may have its best score in a wrong place, so that far starts are looked for there too.
     """
     fits = [fit(task, base.model, base.z, iterations=iterations)]
+    known = slopes_at(task, base) if scores else None  # of what is the same in all of them
     for score in scores:
         near, far = _starts(base, _extended(base, score, spacing), score)
         ways = [(_extended(base, score, spacing), starts) for starts in (near, far) if starts]
         if far and score.hypothesis.term.effect.place:
             same = [s for s in others if s.hypothesis.term is score.hypothesis.term and s is not score][:ELSEWHERE]
             ways[-1] = min([ways[-1], *(_far(base, s, spacing) for s in same)], key=lambda way: _costs(task, *way).min())
-        tried = [fit(task, model, starts[int(np.argmin(_costs(task, model, starts)))], iterations=TRIAL) for model, starts in ways]
+        begun = [(model, starts[int(np.argmin(_costs(task, model, starts)))]) for model, starts in ways]
+        tried = [fit(task, model, z, iterations=TRIAL, known=known) for model, z in begun]
         first = min(tried, key=lambda f: f.cost)
         fits.append(fit(task, first.model, first.z, iterations=iterations - TRIAL))
     return fits

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from twinbench.diagnosis import fit as fitting
 from twinbench.diagnosis.baseline import baseline_model
-from twinbench.diagnosis.fit import LOST, Frames, Task, fit, floor_of, gaps, jacobian, mean_error, turned, weights_of
+from twinbench.diagnosis.fit import LOST, Fit, Frames, Task, fit, floor_of, gaps, jacobian, mean_error, slopes_at, turned, weights_of
 from twinbench.diagnosis.model import Knob, Model, Simulator
 from twinbench.diagnosis.replica import build_replica
 
@@ -69,6 +69,27 @@ def test_the_jacobian_is_the_derivative_of_the_residual(hung, two):
         # one-sided with a step of 0.05: off by half of it times the curvature, which is of the order of the slope
         assert np.linalg.norm(slopes[:, k] - central) < 0.05 * np.linalg.norm(central)
     assert ok.all()
+
+
+def test_slopes_that_are_known_are_not_looked_for_again(tiny, hung, two, monkeypatch):
+    task, one = Task([hung], [30], 0.0, finest=EXACT), tiny.known(two, "body_stiffness")
+    z = np.array([-0.5])
+    base = Fit(one, z, 0.0, np.eye(1), ())
+    known = slopes_at(task, base)
+    (drag,) = (k for k in two.knobs if k.name == "drag_damping")
+    both = np.append(z, drag.encode(tiny.truth["drag_damping"]))  # at which the other has it fixed
+    substeps = task.substeps(two, both)
+    residual = task.residuals(task.predict(two, [both], substeps))[0]
+    asked, predict = [], Task.predict
+    monkeypatch.setattr(Task, "predict", lambda self, model, zs, *steps: asked.append(len(zs)) or predict(self, model, zs, *steps))
+    slopes, ok = jacobian(task, two, both, residual, substeps, known)
+    assert asked == [1] and ok.all()  # the drag's column alone was simulated
+    np.testing.assert_array_equal(slopes[:, 0], known[0][:, 0])
+    np.testing.assert_allclose(slopes, jacobian(task, two, both, residual, substeps)[0], atol=1e-6 * np.abs(slopes).max())
+    # and with slopes that were found far away, and so are off, a fit ends there too, a step or two later
+    found = fit(task, two, np.zeros(2), iterations=14, known=known)
+    assert found.values["body_stiffness"] == pytest.approx(tiny.truth["body_stiffness"], rel=1e-4)
+    assert found.values["drag_damping"] == pytest.approx(tiny.truth["drag_damping"], rel=1e-4)
 
 
 def test_knobs_are_turned_one_at_a_time_and_back_from_a_bound():
