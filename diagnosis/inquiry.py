@@ -26,7 +26,7 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
 FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
-FIXED = 3  # times as many steps for refits beside a twin that is fixed: they have few numbers to turn, and far to go
+FIXED = 3  # times as many steps for refits beside a fixed twin of a solid: a load has few numbers to turn, and far to go
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
 
@@ -163,7 +163,7 @@ def inquire(
         found = first_fit(Task(others, [s.replica.frames for s in others], BANDWIDTH), model, iterations=preset.first)
         finest, astray = _shown(found, len(others)), _astray(found, others)
     task = Task(simulators[:1], [train], BANDWIDTH, finest)
-    steps = preset.steps * (FIXED if fitted_on else 1)
+    steps = preset.steps * (FIXED if fitted_on and replicas[0].solid else 1)
     start = _firm(found) if fitted_on else first_fit(task, model, iterations=preset.first)
     wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH, finest)
     base = refit(task, start, [], iterations=steps, spacing=replicas[0].spacing)[0]

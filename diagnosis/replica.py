@@ -33,7 +33,7 @@ LYING = 0.6  # node spacings: what is higher does not lie
 CELLS = 20000  # of a grid by which volumes are told
 LEAST = 0.35  # of the mean mass: what is lighter would only need shorter steps
 NOTHING = 1e-3  # of the mean mass, of what is held and needs none
-SAME = 1e-4  # m, by which the particles of one lattice may be off in two recordings
+MOST_OF, SAME = 0.9, 1e-3  # share of the particles of one lattice, and m by which they may be off in two recordings: markers are not of it
 STILL = 3.0  # start velocities below this many standard errors are noise
 
 
@@ -211,7 +211,7 @@ def _laid(recording, like: Replica, held, fitted) -> _Body | None:
     if known.chains or len(theirs) != len(structure) or not np.array_equal(held, like.held):
         return None
     rotation, shift = rigid_transform(theirs, structure)
-    if np.abs(theirs @ rotation.T + shift - structure).max() > SAME:
+    if np.quantile(np.linalg.norm(theirs @ rotation.T + shift - structure, axis=1), MOST_OF) > SAME:
         return None
     positions, sightings = sight_nodes(recording.points, recording.visible, like.nodes @ rotation.T + shift, fitted=fitted, keep=True)
     positions[: len(held)] = structure[held]
