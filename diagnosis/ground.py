@@ -11,7 +11,7 @@ __all__ = ["sunk"]
 
 SHARE = 0.1  # of the particles that must be as deep: not a few strays
 STRAYS = 1.28  # standard deviations that one in ten normal errors exceeds
-DEEP = 0.004  # m below the ground that soft contact and a rounded edge explain
+DEEP = 0.005  # m below the ground that soft contact and a rounded edge explain
 PINNED, EDGE = 0.7, 0.1  # share of the particles exactly on the ground: of a flat sheet, half of whose errors point down; and to spare
 ON = 1e-6  # m
 
@@ -25,7 +25,8 @@ def sunk(recording: Observed) -> float:
     if recording.ground is None:
         return 0.0
     height = recording.ground.height(recording.structure)
-    tracks = np.where(recording.visible[..., None], recording.points, np.nan)
+    early = slice(len(recording.points) // 2)  # frames that may be fitted
+    tracks = np.where(recording.visible[early, :, None], recording.points[early], np.nan)
     with where_unseen():
         noise = noise_of(tracks)
     depth = -(np.quantile(height, SHARE) + STRAYS * noise)
