@@ -112,7 +112,7 @@ def first_fit(task: Task, model: Model, *, iterations: int) -> Fit:
     fits = [fit(task, _recentred(model, z), np.zeros(len(z)), iterations=iterations) for z in best]
     least = min(f.loss for f in fits)
     good = [f for f in fits if f.loss <= least + (ALIKE if stuffed else 0.0)]
-    return min(good, key=lambda f: (f.values["body_stiffness"], f.loss)) if good else fits[0]
+    return min(good, key=lambda f: (f.values["body_stiffness"], f.loss))
 
 
 def _recentred(model, z):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..datasets.scenario import Observed
-from .sightings import noise_of, where_unseen
+from .sightings import noise_of
 
 __all__ = ["sunk"]
 
@@ -27,8 +27,6 @@ def sunk(recording: Observed) -> float:
     height = recording.ground.height(recording.structure)
     early = slice(len(recording.points) // 2)  # frames that may be fitted
     tracks = np.where(recording.visible[early, :, None], recording.points[early], np.nan)
-    with where_unseen():
-        noise = noise_of(tracks)
-    depth = -(np.quantile(height, SHARE) + STRAYS * noise)
+    depth = -(np.quantile(height, SHARE) + STRAYS * noise_of(tracks))
     pinned = float((np.abs(height) < ON).mean())
     return max(0.0, float(np.log(max(depth, 1e-9) / DEEP)), (pinned - PINNED) / EDGE)
