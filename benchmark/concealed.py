@@ -192,7 +192,10 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     gains = dict.fromkeys((*GAINS, *SHOWS, *TURNS), (0, None))
     limits = {**gains, **dict.fromkeys(SEEN, (0, SURE)), "kept": (0, None), "extra": (None, 0)}
     bounds = [limits.get(name, (None, None)) for name in features]
-    bounds += [(None, None)] * (len(start) - len(features))
+    bounds += [(None, None)] * len(terms)
+    # Errors speak against "adequate"; what they speak for is the readings' to say.
+    against = [(None, 0) if any(name.startswith(f"{usual}_") for usual in USUAL) else (None, None) for name in around]
+    bounds += [(None, None), *against, (None, None), *((0, 0) if high == 0 else (low, high) for low, high in against)]
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
     weights, biases = ({k: float(v) for k, v in of.items()} for of in (c.weights, c.biases))
@@ -314,32 +317,40 @@ def by_effect(results: dict[str, dict], labels: dict[str, dict]) -> str:
 
 
 def thresholds(
-    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.05, seeds: Sequence[int] = (0, 1, 2)
-) -> tuple[float, float, float]:
-    """Least probabilities (named, both, sure) that keep alarms on controls below the share ``alarms`` in cross-validations by ``seeds``."""
-    best, chosen = -np.inf, (0.5, 0.7, 0.5)
+    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.02, seeds: Sequence[int] = (0, 1, 2)
+) -> tuple[float, float, dict[str, float]]:
+    """Least probabilities (named, both, and sure by kind of body), from cross-validations by ``seeds``.
+
+    All but the share ``alarms`` of a kind's controls are as sure as it must be. Names are chosen by what they are worth in total.
+    """
     runs = [crossed(results, labels, seed=s) for s in seeds]
+    sure = _sure([r for run in runs for k, r in run.items() if truth(labels[k]) == NONE and "evidence" in r], alarms)
+    best, chosen = -np.inf, (0.5, 0.7)
     for named in (0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.7):
         for both in (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
-            for sure in (0.03, 0.06, 0.1, 0.13, 0.16, 0.2, 0.25, 0.3, 0.4):
-                if both < named:
-                    continue
-                worth = 0.0
-                for run in runs:
-                    c = Calibration({}, {}, {}, named=named, both=both, sure=sure)
-                    s = score({k: _again(r, c) for k, r in run.items()}, labels)
-                    if s["alarms"] > alarms * s["controls"]:
-                        worth -= 10 * (s["alarms"] - alarms * s["controls"])
-                    worth += (
-                        s["right_first"]
-                        + 0.4 * (s["right_of_two"] - s["right_first"])
-                        + 0.2 * s["found"]
-                        - 1.5 * s["wrong"]  # a refusal is better than a wrong name
-                        - 0.7 * s["outside_named"]
-                    )
-                if worth > best:
-                    best, chosen = worth, (named, both, sure)
-    return chosen
+            if both < named:
+                continue
+            worth = 0.0
+            for run in runs:
+                s = score({k: _again(r, Calibration({}, {}, {}, named=named, both=both, sure=sure)) for k, r in run.items()}, labels)
+                worth -= 10 * max(0.0, s["named_alarms"] - alarms * s["controls"])
+                worth += (
+                    s["right_first"]
+                    + 0.4 * (s["right_of_two"] - s["right_first"])
+                    - 1.5 * s["wrong"]  # a refusal is better than a wrong name
+                    - 0.7 * s["outside_named"]
+                )
+            if worth > best:
+                best, chosen = worth, (named, both)
+    return *chosen, sure
+
+
+def _sure(controls, share):
+    """By kind of body, the probability of "adequate" that all but ``share`` of such ``controls`` reach."""
+    chances: dict[str, list[float]] = {}
+    for result in controls:
+        chances.setdefault(kind_of(result["evidence"]["context"]), []).append(result["probabilities"][NONE])
+    return {kind: round(float(np.quantile(values, share)), 4) for kind, values in sorted(chances.items())}
 
 
 def study(folders: Sequence[Path], out: Path, *, preset: str, device: str, jobs: int, calibrating: bool) -> tuple[dict, dict]:
@@ -371,5 +382,8 @@ def study(folders: Sequence[Path], out: Path, *, preset: str, device: str, jobs:
 
 def _again(result, c):
     """The decision from probabilities that are there already."""
-    verdict, effect, also = verdict_of(result["probabilities"], c, result.get("evidence", {}).get("alike", ()))
+    if "evidence" not in result:
+        return result
+    evidence = result["evidence"]
+    verdict, effect, also = verdict_of(result["probabilities"], c, kind_of(evidence["context"]), evidence.get("alike", ()))
     return {**result, "verdict": verdict, "effect": effect, "alternatives": list(also)}

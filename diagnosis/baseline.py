@@ -39,7 +39,7 @@ def baseline_model(replicas: list[Replica]) -> Model:
     """PhysTwin's terms and the numbers that its fit moves, its stiffness field in a few smooth modes."""
     ground = any(r.recording.ground is not None for r in replicas)
     tied = any((r.recording.grips < 0).any() for r in replicas)
-    solid = any(r.solid for r in replicas)
+    solid, thick = any(r.solid for r in replicas), any(len(r.recording.interior) for r in replicas)
     drag = AirDrag if solid else LinearDrag  # nodes that stand for unequal volumes weigh unequally, and may come to carry a load
     terms = [Springs, Dashpot, ControllerSprings, Gravity, drag, Observer, StiffnessLevel, StiffnessField, MassField, LengthLevel]
     knobs = [
@@ -62,10 +62,9 @@ def baseline_model(replicas: list[Replica]) -> Model:
         terms.append(FarSprings)
         knobs.append(Knob("far_share", 0.5, 1.0, 1e-3, 10.0, log=True))
         values["far_reach"] = FAR * replicas[0].spacing
-        if not solid:
+        if not thick:
             terms.append(CompressionSoftening)  # folds finer than the nodes give way where springs would push
             knobs.append(Knob("compression_softening", 0.5, 0.4, 0.0, 1.0, step=0.1))
-    thick = any(len(r.recording.interior) for r in replicas)
     for field, spread in ((StiffnessField, 0.3), (MassField, 0.3 if thick else 0.15)):  # what is thin is as heavy everywhere
         knobs += [Knob(p.name, 0.0, spread, p.low, p.high) for p in field.parameters]
     return Model(tuple(terms), values, tuple(knobs))

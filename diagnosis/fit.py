@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .model import Knob, Model, Simulator
+from .model import MOST, Knob, Model, Simulator
 from .replica import Replica
 
 __all__ = [
@@ -114,8 +114,8 @@ class Task:
         """(F, n, 3) where the nodes of recording ``k`` were seen [m]."""
         return self.simulators[k].replica.sightings.position[: self.frames[k]]
 
-    def substeps(self, model: Model, z) -> list[int]:
-        return [s.substeps(model.terms, model.decode(z)) for s in self.simulators]
+    def substeps(self, model: Model, z, *, most: int = MOST) -> list[int]:
+        return [s.substeps(model.terms, model.decode(z), most=most) for s in self.simulators]
 
     def predict(self, model: Model, zs: Sequence, substeps=None) -> list[np.ndarray]:
         """Per recording (B, F, n, 3): the nodes at each of ``zs``."""

@@ -14,6 +14,7 @@ from math import ceil
 import numpy as np
 
 from .fit import INDEPENDENT, Fit, Task, doubt, remoteness, turned
+from .model import JUDGED
 from .parts import MARGIN, Part, finite, innovations, judged, nobody
 from .replica import Replica
 
@@ -32,7 +33,7 @@ def foreseen(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
     z = found.z
     trials, widths = turned(found.model, z)
     rows = [found.values, *(found.model.decode(t) for t in trials)]
-    substeps = [ceil(MARGIN * n) for n in task.substeps(found.model, z)]
+    substeps = [ceil(MARGIN * n) for n in task.substeps(found.model, z, most=JUDGED)]
     residuals, frames = innovations(task, found.model, rows, parts, substeps)
     counted = [judged(task, part, leave) for part in parts]
     origin = [r[0] * c for r, c in zip(residuals, counted, strict=True)]

@@ -15,7 +15,7 @@ from .baseline import baseline_model, first_fit, steady
 from .fit import FINEST, LOST, Fit, Task, mean_error
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
-from .model import Knob, Model, Simulator
+from .model import JUDGED, Knob, Model, Simulator
 from .parts import Part, nobody
 from .refit import Verdictable, evaluate, foresighted, refit
 from .replica import Replica, build_replica
@@ -26,6 +26,7 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
 FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
+SETTLED = 6  # times as many steps until the twin has settled: what an effect had to be put into is found late, and says less of the effect
 FIXED = 3  # times as many steps for refits beside a fixed twin of a solid: a load has few numbers to turn, and far to go
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
@@ -120,8 +121,9 @@ class Inquiry:
 
     def free(self, found: Verdictable) -> list[np.ndarray]:
         """By recording (F, n, 3) m: the free run of a fitted model on the case and the transfer recordings."""
-        row = {**found.fit.values, "observer_bandwidth": 0.0}
-        return [s.run(found.fit.model.terms, [row], s.replica.frames)[0] for s in self.simulators[: 1 + self.transfers]]
+        row, terms = {**found.fit.values, "observer_bandwidth": 0.0}, found.fit.model.terms
+        recordings = self.simulators[: 1 + self.transfers]
+        return [s.run(terms, [row], s.replica.frames, substeps=s.substeps(terms, row, most=JUDGED))[0] for s in recordings]
 
 
 def promise(score: Score) -> float:
@@ -166,7 +168,7 @@ def inquire(
     steps = preset.steps * (FIXED if fitted_on and replicas[0].solid else 1)
     start = _firm(found) if fitted_on else first_fit(task, model, iterations=preset.first)
     wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH, finest)
-    base = refit(task, start, [], iterations=steps, spacing=replicas[0].spacing)[0]
+    base = refit(task, start, [], iterations=SETTLED * steps, spacing=replicas[0].spacing)[0]
     watched = [wide.predict(base.model, [base.z])[k][0] for k in range(len(wide.simulators))]
     push = [missing_acceleration(s.replica, x, BANDWIDTH) for s, x in zip(wide.simulators, watched, strict=True)]
 

@@ -14,13 +14,14 @@ from ..physics.stability import stable_substeps
 from ..physics.terms.base import Term
 from .replica import Replica
 
-__all__ = ["Knob", "Model", "Simulator"]
+__all__ = ["JUDGED", "MOST", "Knob", "Model", "Simulator"]
 
 LADDER = 1.15  # substeps come in steps of 15 %, so that finite differences compare runs on one grid
 SAFETY = 0.8  # of the stable step
 BATCH = 64  # systems in one launch
 STIFF = ("axial", "strand", "hinge", "facet")  # stages whose laws say how long a substep may be
-MOST = 200  # substeps a frame: a body that needs more is too stiff to be told from a stiffer one
+MOST = 200  # substeps a frame in a fit: a body that needs more is too stiff to be told from a stiffer one
+JUDGED = 3 * MOST  # and where a fitted one is judged: on what it was not fitted to, what was just stable may blow up
 
 
 @dataclass(frozen=True)
@@ -106,15 +107,15 @@ class Simulator:
             values["ground_offset"] = values["adhesion_offset"] = float(recording.ground.offset) + self.replica.lift
         return {k: v for k, v in values.items() if k in known}
 
-    def substeps(self, terms, values: Mapping[str, float]) -> int:
-        """Substeps a frame that the body needs at ``values``, once the setup terms have made it what it is."""
+    def substeps(self, terms, values: Mapping[str, float], *, most: int = MOST) -> int:
+        """Substeps a frame that the body needs at ``values``, once the setup terms have made it what it is; at most so many."""
         made, masses = self._made(terms, values)
         terms = tuple(t({n: values[n] for n in t().values if n in values}) for t in terms if t.stage in STIFF)
         body = replace(
             self.replica.system, stiffness=made.stiffness.cpu().numpy().astype(float), masses=np.maximum(masses, 1e-9), terms=terms
         )
         need = stable_substeps([body], 1 / self.replica.recording.fps, safety=SAFETY, least=8)
-        return min(MOST, ceil(LADDER ** ceil(log(need) / log(LADDER))))
+        return min(most, ceil(LADDER ** ceil(log(need) / log(LADDER))))
 
     def masses(self, terms, values: Mapping[str, float]) -> np.ndarray:
         """(n,) mass of each node at ``values``, once the setup terms have made it what it is, over that of a node."""

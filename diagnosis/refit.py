@@ -9,7 +9,7 @@ import numpy as np
 
 from .fit import Fit, Frames, Task, counted, fit, floor_of, remoteness, slopes_at
 from .foresight import foreseen
-from .model import Model
+from .model import JUDGED, Model
 from .parts import Part, nobody
 from .replica import Replica
 from .screen import Score
@@ -119,7 +119,8 @@ def evaluate(task: Task, found: Fit, parts: Sequence[Part], *, leave: Callable[[
         if part.index not in runs:
             last = max(p.last for p in parts if p.index == part.index)
             rows = [{**found.values, "observer_bandwidth": b} for b in (task.bandwidth, 0.0)]
-            runs[part.index] = simulator.run(found.model.terms, rows, last)
+            substeps = simulator.substeps(found.model.terms, found.values, most=JUDGED)
+            runs[part.index] = simulator.run(found.model.terms, rows, last, substeps=substeps)
         watched, alone = runs[part.index]
         replica = simulator.replica
         there = counted(replica, part.first, part.last)

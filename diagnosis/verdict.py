@@ -29,10 +29,12 @@ SETTLED, SHARPER = -20.0, 4.0
 SLID = 1.0  # log of the growth of neighbour distances that deformation alone brings, creases too
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
+ASIDE = 1.0  # distances between nodes that the free run of such a twin may be off by
 ASTRAY = 3.0  # times the error of its free run where it was fitted: beyond that a twin is no longer the one that was adequate there
 SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 ALIKE = 0.95  # cosine of two effects' unabsorbed directions from which on a recording can hardly tell them apart
 RIVAL = 0.25  # of the likelier one's probability that the other must have for both to be said
+SURE = 0.5  # probability of "adequate" that is asked of a kind of body that the calibration never met
 NONE, OTHER = "adequate", "unknown"
 SHOWS = ("shows_train", "shows_unseen")  # told beside what the same term shows where nothing is missing
 GAINS = ("train", "heldout", "transfer", "free_heldout", "free_transfer")
@@ -40,7 +42,7 @@ FEATURES = (*GAINS, "rival", "kept", "extra", *SHOWS, *TURNS)
 STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
 SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen", "ground_pose_seen", "camera_pose_seen")  # without a simulation
 KINDS = ("chain", "sheet", "solid")
-USUAL = ("learned", "best", "misfit", "unforeseen")  # told beside what is usual of a kind of body where nothing is missing
+USUAL = ("learned", "best", "misfit", "unforeseen", "free")  # told beside what is usual of a kind of body where nothing is missing
 CONTEXT = ("chain", "sheet", *(f"{name}_{kind}" for name in USUAL for kind in KINDS), *TURNS)
 
 
@@ -68,7 +70,8 @@ class Calibration:
     weights   of ``FEATURES``, the same for all effects
     biases    by term: how readily it explains what is not it; those of "adequate" and "unknown" too
     context   by "adequate" and "unknown", weights of ``CONTEXT``
-    named     least probability of a name; ``both`` of the two best together; ``sure`` of "adequate" and "unknown"
+    named     least probability of a name; ``both`` of the two best together
+    sure      by kind of body, least probability of "adequate": of a body that folds as it pleases little is known even if it is sound
     source    what it was fitted on
     null      by term, and by "" for a term that it never met: mean and standard deviation of ``SHOWS`` where nothing is missing
     usual     by kind of body, and by "" for all, the same of ``USUAL``: how well twins of it do when they lack nothing
@@ -79,7 +82,7 @@ class Calibration:
     context: dict[str, dict[str, float]]
     named: float = 0.5
     both: float = 0.7
-    sure: float = 0.5
+    sure: dict[str, float] = field(default_factory=dict)
     source: str = ""
     null: dict[str, dict[str, list[float]]] = field(default_factory=dict)
     usual: dict[str, dict[str, list[float]]] = field(default_factory=dict)
@@ -219,10 +222,13 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     width = 3 * inquiry.case.spacing**2
     unforeseen = np.mean([np.log(inquiry.base.foreseen[p.name] / width) / 2 for p in others])
     misfit = np.log(inquiry.base.observed["train"] / width) / 2
+    free = np.array([inquiry.base.free[p.name] for p in others]) / inquiry.case.spacing
+    known = np.log(free[np.isfinite(free)])  # a twin that blew up says nothing
     chain = bool(inquiry.case.system.chains)
     sheet = not chain and not len(inquiry.case.recording.interior)
     around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen, **turning(inquiry)}
-    fine = max(excess) < FINE and not astray
+    around |= {"free": np.mean(known)} if known.size else {}
+    fine = max(excess) < FINE and not astray and bool(np.all(free < ASIDE))
     return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(fine)}
 
 
@@ -273,7 +279,7 @@ def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     for name, w in zip(names, weight, strict=True):
         chances[name] = chances.get(name, 0.0) + float(w)
     chances = dict(sorted(chances.items(), key=lambda item: -item[1]))
-    verdict, effect, also = verdict_of(chances, c, pairs)
+    verdict, effect, also = verdict_of(chances, c, kind_of(around), pairs)
     chosen = None
     if effect:
         mine = [(v, r) for r, v in zip(found, values, strict=False) if r.effect == effect]
@@ -282,9 +288,11 @@ def decide(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
 
 
 def verdict_of(
-    chances: Mapping[str, float], c: Calibration, pairs: Sequence[tuple[str, str]] = ()
+    chances: Mapping[str, float], c: Calibration, kind: str, pairs: Sequence[tuple[str, str]] = ()
 ) -> tuple[str, str | None, tuple[str, ...]]:
-    """Verdict, effect and alternatives from probabilities, largest first; of ``pairs`` of effects neither is named without the other."""
+    """Verdict, effect and alternatives from probabilities, largest first, of a ``kind`` of body; of ``pairs`` of effects neither is named
+    without the other.
+    """
     effects = [n for n in chances if n not in (NONE, OTHER)]
     first, second = [*effects, None, None][:2]
     nothing, other = chances[NONE], chances[OTHER]
@@ -295,7 +303,7 @@ def verdict_of(
         return ("measurement" if first in MEASUREMENT else "missing"), first, ()
     if second and chances[first] + chances[second] >= c.both and chances[first] > nothing:
         return "ambiguous", first, (second,)
-    if nothing >= c.sure:
+    if nothing >= c.sure.get(kind, SURE):
         return NONE, None, ()
     if other > nothing or 1 - nothing >= c.both:
         return OTHER, None, tuple(effects[:2])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.concealed import answers, by_effect, calibrate, closed, crossed, decided, markdown, score, study, truth
-from twinbench.diagnosis.verdict import FEATURES, NONE, OTHER, USUAL, Calibration, decide
+from twinbench.diagnosis.verdict import FEATURES, KINDS, NONE, OTHER, USUAL, Calibration, decide
 
 
 def label(kind, effect=None, *, place=None, onset=None):
@@ -225,7 +225,7 @@ def test_each_case_is_decided_by_a_calibration_that_did_not_see_it():
 
 def test_thresholds_are_those_that_are_given():
     results, labels = separable(4)
-    strict = crossed(results, labels, thresholds=Calibration({}, {}, {}, named=1.1, both=1.1, sure=1.1))
+    strict = crossed(results, labels, thresholds=Calibration({}, {}, {}, named=1.1, both=1.1, sure=dict.fromkeys(KINDS, 1.1)))
     assert not {r["verdict"] for r in strict.values()} & {"missing", "measurement", "ambiguous", "adequate"}
 
 

@@ -12,7 +12,7 @@ from twinbench.benchmark.cli import main
 from twinbench.datasets.phystwin import write_case
 from twinbench.diagnosis import inquiry
 from twinbench.diagnosis.diagnose import NAMES
-from twinbench.diagnosis.verdict import ASTRAY, MEASUREMENT, NONE, OTHER, Calibration, context
+from twinbench.diagnosis.verdict import ASTRAY, KINDS, MEASUREMENT, NONE, OTHER, Calibration, context
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 
 PARTS = ("baseline", "extended", "noise_floor", "last_residual", "learned_residual")
@@ -131,7 +131,7 @@ def test_a_name_comes_with_its_parameters_place_and_time(named):
         (Calibration({"train": 1.0}, {NONE: -50.0, OTHER: -50.0}, {}, named=1.1, both=0.0), "ambiguous"),
         (Calibration({}, {NONE: 50.0}, {}), "adequate"),
         (Calibration({}, {OTHER: 50.0}, {}), "unknown"),
-        (Calibration({}, {}, {}, named=1.1, both=1.1, sure=1.1), "cannot_tell"),
+        (Calibration({}, {}, {}, named=1.1, both=1.1, sure=dict.fromkeys(KINDS, 1.1)), "cannot_tell"),
     ],
 )
 def test_every_verdict_is_written_in_the_same_interface(recordings, tmp_path, weights, verdict):

@@ -32,7 +32,7 @@ def linear(monkeypatch, offset, slope, *, finest=0.003, prior=1.0):
 
     monkeypatch.setattr(foresight, "innovations", innovations)
     replica = SimpleNamespace(nodes=np.zeros((NODES, 3)))
-    task = SimpleNamespace(simulators=[SimpleNamespace(replica=replica)], substeps=lambda model, z: [1])
+    task = SimpleNamespace(simulators=[SimpleNamespace(replica=replica)], substeps=lambda model, z, most: [1])
     fit = Fit(Model((), {}, (knob,)), np.zeros(1), 0.0, np.eye(1), ())
     return task, fit, frames, origin, slopes
 

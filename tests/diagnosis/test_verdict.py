@@ -12,6 +12,7 @@ from twinbench.diagnosis.hypotheses import catalogue
 from twinbench.diagnosis.verdict import (
     CONTEXT,
     FEATURES,
+    KINDS,
     MEASUREMENT,
     NONE,
     OTHER,
@@ -31,7 +32,7 @@ from twinbench.diagnosis.verdict import (
 )
 
 GAINS = ("train", "heldout", "transfer", "free_heldout", "free_transfer", *SEEN)
-RULES = Calibration({}, {}, {}, named=0.5, both=0.7, sure=0.4)
+RULES = Calibration({}, {}, {}, named=0.5, both=0.7, sure={"sheet": 0.4})
 SHIPPED = calibration()
 
 numbers = st.floats(-0.5, 4.0)
@@ -65,7 +66,7 @@ around = st.fixed_dictionaries({**{name: numbers for name in USUAL}, "chain": st
     ],
 )
 def test_the_rules_of_the_verdict(chances, verdict):
-    assert verdict_of(chances, RULES) == verdict
+    assert verdict_of(chances, RULES, "sheet") == verdict
 
 
 @pytest.mark.parametrize(
@@ -80,7 +81,7 @@ def test_the_rules_of_the_verdict(chances, verdict):
 )
 def test_what_a_recording_cannot_tell_apart_is_said_together(second, pairs, verdict):
     chances = {"wind": 0.55, "gravity_tilt": second, NONE: 0.1, OTHER: 0.35 - second}
-    assert verdict_of(chances, RULES, pairs) == verdict
+    assert verdict_of(chances, RULES, "sheet", pairs) == verdict
 
 
 def test_effects_with_one_direction_are_alike():
@@ -197,7 +198,8 @@ def test_the_shipped_calibration_names_only_what_there_is():
     assert set(SHIPPED.context) == {NONE, OTHER}
     assert all(set(of) <= set(CONTEXT) for of in SHIPPED.context.values())
     assert all(SHIPPED.weights[name] >= 0 for name in GAINS if name in SHIPPED.weights) and SHIPPED.weights["extra"] <= 0
-    assert 0 < SHIPPED.named <= SHIPPED.both <= 1 and 0 < SHIPPED.sure <= 1 and SHIPPED.source
+    assert 0 < SHIPPED.named <= SHIPPED.both <= 1 and SHIPPED.source
+    assert set(SHIPPED.sure) == set(KINDS) and all(0 < p <= 1 for p in SHIPPED.sure.values())
     every = [*SHIPPED.weights.values(), *SHIPPED.biases.values(), *(v for of in SHIPPED.context.values() for v in of.values())]
     assert np.isfinite(every).all()
 
