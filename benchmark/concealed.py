@@ -38,7 +38,8 @@ __all__ = ["answer", "answers", "by_effect", "calibrate", "crossed", "decided", 
 LABELS = "labels.json"
 RIDGE = 0.01  # of the shared weights; effects' own biases are few cases each and get more
 RIDGE_BIAS = 0.02
-SURE = 30.0  # log odds, at most, for each unit of what the tracks say by themselves: it parts all cases there are, and some day it will not
+SURE = 30.0  # log odds for each unit of what recordings say by themselves: it parts all cases there are, so that nothing is to be fitted
+SELDOM = {"camera_pose_seen": -1.2}  # log odds: that all cameras are off alike is rarer than that the ground is
 FOLDS = 8
 POOLED = 4.0  # cases without an effect that what all terms show together counts for, beside a term's own
 TELLS = 0.15  # log of the share of error left by a reading from which on it explains something
@@ -176,7 +177,7 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     first = np.cumsum([0, *map(len, names)])[:-1]
     right = np.concatenate([_right(found, of, true) for of, (found, _, true) in zip(names, rows, strict=True)])
     ridge = np.full(len(start), RIDGE)
-    ridge[len(FEATURES) : len(features)] = 0.0  # what the tracks say by themselves is not shrunk
+    ridge[len(FEATURES) : len(features)] = 0.0
     ridge[len(features) : len(features) + len(terms)] = RIDGE_BIAS
     ridge[len(features) + len(terms) :: len(around) + 1] = 0.0  # how often nothing, or something else, is missing is the labels' to say
 
@@ -190,9 +191,9 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
 
     # A gain never speaks against its effect, nor does being told from the twin's own numbers; an amplitude more never speaks for it.
     gains = dict.fromkeys((*GAINS, *SHOWS, *TURNS), (0, None))
-    limits = {**gains, **dict.fromkeys(SEEN, (0, SURE)), "kept": (0, None), "extra": (None, 0)}
+    limits = {**gains, **dict.fromkeys(SEEN, (SURE, SURE)), "kept": (0, None), "extra": (None, 0)}
     bounds = [limits.get(name, (None, None)) for name in features]
-    bounds += [(None, None)] * len(terms)
+    bounds += [(SELDOM.get(term, 0.0),) * 2 if term in SEEN else (None, None) for term in terms]
     # Errors speak against "adequate"; what they speak for is the readings' to say.
     against = [(None, 0) if any(name.startswith(f"{usual}_") for usual in USUAL) else (None, None) for name in around]
     bounds += [(None, None), *against, (None, None), *((0, 0) if high == 0 else (low, high) for low, high in against)]
@@ -317,7 +318,7 @@ def by_effect(results: dict[str, dict], labels: dict[str, dict]) -> str:
 
 
 def thresholds(
-    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.02, seeds: Sequence[int] = (0, 1, 2)
+    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.03, seeds: Sequence[int] = (0, 1, 2)
 ) -> tuple[float, float, dict[str, float]]:
     """Least probabilities (named, both, and sure by kind of body), from cross-validations by ``seeds``.
 

@@ -1,4 +1,4 @@
-"""What hands and the points beside them say without any simulation: hands that are reported late, a body that slips out of one."""
+"""What hands and the points beside them say without any simulation: hands that are reported late."""
 
 from __future__ import annotations
 
@@ -26,12 +26,10 @@ class Held:
 
     lag    frames that the body moves after the reported hand; negative: the hand is reported late
     told   log of the ratio of their distances from the hand's rigid motion, as reported and so shifted
-    slip   log of the ratio of those (shifted) distances in the last and the first quarter of the hand's way
     """
 
     lag: float
     told: float
-    slip: float
 
 
 def held_points(recording: Observed) -> list[Held]:
@@ -62,13 +60,10 @@ def _held(hand, seen, moving):
         strays = np.array([np.nanmedian(_strays(hand, seen, moving, lag), axis=1) for lag in LAGS])  # (L, moving)
         size = np.nanmean(strays, axis=1)
     if not np.isfinite(size).all():
-        return Held(0.0, 0.0, 0.0)
+        return Held(0.0, 0.0)
     best = int(size.argmin())
-    curve = strays[best][np.isfinite(strays[best])]
-    quarter = max(1, len(curve) // 4)
-    slip = np.log((np.median(curve[-quarter:]) + BLUR) / (np.median(curve[:quarter]) + BLUR))
     asis = int(np.abs(LAGS).argmin())
-    return Held(float(LAGS[best]), float(np.log((size[asis] + BLUR) / (size[best] + BLUR))), float(slip))
+    return Held(float(LAGS[best]), float(np.log((size[asis] + BLUR) / (size[best] + BLUR))))
 
 
 def _strays(hand, seen, moving, lag):

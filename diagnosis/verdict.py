@@ -31,7 +31,6 @@ LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays 
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
 ASIDE = 1.0  # distances between nodes that the free run of such a twin may be off by
 ASTRAY = 3.0  # times the error of its free run where it was fitted: beyond that a twin is no longer the one that was adequate there
-SLIPPED = 1.2  # log of the growth of those strays that bending alone brings
 ALIKE = 0.95  # cosine of two effects' unabsorbed directions from which on a recording can hardly tell them apart
 RIVAL = 0.25  # of the likelier one's probability that the other must have for both to be said
 SURE = 0.5  # probability of "adequate" that is asked of a kind of body that the calibration never met
@@ -40,7 +39,7 @@ SHOWS = ("shows_train", "shows_unseen")  # told beside what the same term shows 
 GAINS = ("train", "heldout", "transfer", "free_heldout", "free_transfer")
 FEATURES = (*GAINS, "rival", "kept", "extra", *SHOWS, *TURNS)
 STRANGE = (-3.0, 8.0)  # standard deviations of what a term shows where nothing is missing, beyond which none says more
-SEEN = ("track_drift_seen", "controller_delay_seen", "grip_slip_seen", "ground_pose_seen", "camera_pose_seen")  # without a simulation
+SEEN = ("track_drift_seen", "controller_delay_seen", "ground_pose_seen", "camera_pose_seen")  # without a simulation
 KINDS = ("chain", "sheet", "solid")
 USUAL = ("learned", "best", "misfit", "unforeseen", "free")  # told beside what is usual of a kind of body where nothing is missing
 CONTEXT = ("chain", "sheet", *(f"{name}_{kind}" for name in USUAL for kind in KINDS), *TURNS)
@@ -202,7 +201,6 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
     shown = {
         "track_drift": max(replica.sightings.slide for replica in recordings) - SLID,
         "controller_delay": max((held.told - TOLD for held in hands if abs(held.lag) >= LATE), default=0.0),
-        "grip_slip": max((held.slip - SLIPPED for held in hands), default=0.0),
         "ground_pose": deep,
         "camera_pose": deep,  # all that cameras see is lower than it is
     }
