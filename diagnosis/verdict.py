@@ -24,8 +24,9 @@ MATERIAL = (
     *("creep", "internal_friction", "rest_shape", "pressure"),
 )
 # Where a twin of the same body was adequate on other recordings (priors, not fitted): log odds of an effect of its material, which a
-# recording cannot add to it; and how many times more a gain tells, as the twin's own inadequacy is known to be small.
-SETTLED, SHARPER = -20.0, 4.0
+# recording cannot add to it; and how many times more a gain tells, of a free run as much as of any, as the twin's own inadequacy is known
+# to be small.
+SETTLED, SHARPER = -20.0, 6.0
 SLID = 1.0  # log of the growth of neighbour distances that deformation alone brings, creases too
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
@@ -227,7 +228,8 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen, **turning(inquiry)}
     around |= {"free": np.mean(known)} if known.size else {}
     fine = max(excess) < FINE and not astray and bool(np.all(free < ASIDE))
-    return {k: float(v) for k, v in around.items()} | {"chain": float(chain), "sheet": float(sheet), "fine": float(fine)}
+    flags = {"chain": chain, "sheet": sheet, "fine": fine, "astray": astray}
+    return {k: float(v) for k, v in {**around, **flags}.items()}
 
 
 def kind_of(around: Mapping[str, float]) -> str:
@@ -241,17 +243,17 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     around = c.surroundings(around)
     # a term that the calibration never met is as doubtful as the most doubtful of those it did
     doubt = min((0.0, *(b for key, b in c.biases.items() if key not in (NONE, OTHER))))
+    settled = c.weights | dict.fromkeys(GAINS, SHARPER * float(np.mean([c.weights.get(k, 0.0) for k in GAINS])))
     for reading in found:
         names.append(reading.effect)
-        told = {k: c.weights.get(k, 0.0) * v for k, v in c.told(reading).items()}
-        sharper = SHARPER if "settled" in reading.features else 1.0
-        value = c.biases.get(reading.key, doubt) + sum(v * (sharper if k in GAINS else 1.0) for k, v in told.items())
+        weights = settled if "settled" in reading.features else c.weights
+        value = c.biases.get(reading.key, doubt) + sum(weights.get(k, 0.0) * v for k, v in c.told(reading).items())
         value += SETTLED * reading.features.get("settled", 0.0)
         values.append(value)
     for name in (NONE, OTHER):
         names.append(name)
         values.append(c.biases.get(name, 0.0) + sum(c.context.get(name, {}).get(k, 0.0) * v for k, v in around.items()))
-    values[-2] += AT_EASE * around.get("fine", 0.0)
+    values[-2] += AT_EASE * (around.get("fine", 0.0) - around.get("astray", 0.0))
     return names, np.array(values)
 
 

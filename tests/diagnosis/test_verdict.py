@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from twinbench.diagnosis.diagnose import NAMES
 from twinbench.diagnosis.hypotheses import catalogue
 from twinbench.diagnosis.verdict import (
+    AT_EASE,
     CONTEXT,
     FEATURES,
     KINDS,
@@ -131,12 +132,18 @@ def test_errors_are_told_beside_what_is_usual_of_the_kind_of_body():
     assert scores([], {"misfit": -1.8}, c)[1][-1] == pytest.approx(1.0)
 
 
-def test_of_a_twin_that_was_fitted_elsewhere_gains_tell_more_and_nothing_else_does():
-    c = Calibration({"train": 2.0, "kept": 0.5, "rival": -1.0}, {"wind": 0.25}, {})
-    features = {"train": 0.5, "kept": -2.0, "rival": 0.25}
+def test_of_a_twin_that_was_fitted_elsewhere_all_gains_tell_alike_and_more_and_nothing_else_does():
+    c = Calibration({"train": 2.0, "heldout": 0.5, "kept": 0.5, "rival": -1.0}, {"wind": 0.25}, {})
+    features = {"train": 0.5, "free_heldout": 1.5, "kept": -2.0, "rival": 0.25}
     here, elsewhere = (scores([Reading("wind", "wind", features | more)], {}, c)[1][0] for more in ({}, {"settled": 0.0}))
     assert here == pytest.approx(0.25 + 1.0 - 1.0 - 0.25)
-    assert elsewhere == pytest.approx(0.25 + SHARPER * 1.0 - 1.0 - 0.25)
+    # the mean weight of the five kinds of gains is (2 + 0.5) / 5
+    assert elsewhere == pytest.approx(0.25 + SHARPER * 0.5 * (0.5 + 1.5) - 1.0 - 0.25)
+
+
+def test_a_twin_that_runs_astray_is_as_surely_not_adequate_as_one_at_ease_is():
+    odds = {k: scores([], {k: 1.0}, SHIPPED)[1][-2] - scores([], {}, SHIPPED)[1][-2] for k in ("fine", "astray")}
+    assert odds == pytest.approx({"fine": AT_EASE, "astray": -AT_EASE})
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
