@@ -6,12 +6,13 @@ import json
 import time
 import traceback
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from ..datasets.concealed.seal import read_json, write_json
 from ..diagnosis.balance import TURNS
 from ..diagnosis.verdict import (
     CONTEXT,
@@ -30,10 +31,11 @@ from ..diagnosis.verdict import (
     shown,
     verdict_of,
 )
-from .challenge.answering import each
+from .challenge.answering import answer_case, each
+from .challenge.scores import of_the_ceiling
 from .challenge.truths import Row
 
-__all__ = ["answer", "answers", "by_effect", "calibrate", "crossed", "decided", "markdown", "score", "study", "thresholds"]
+__all__ = ["answer", "answers", "by_effect", "calibrate", "ceilings", "crossed", "decided", "markdown", "score", "study", "thresholds"]
 
 LABELS = "labels.json"
 RIDGE = 0.01  # of the shared weights; effects' own biases are few cases each and get more
@@ -76,6 +78,17 @@ def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu"
     return dict(sorted(done.items()))
 
 
+def ceilings(
+    data: Path, out: Path, labels: dict[str, dict], *, preset: str = "quick", device: str = "cpu", jobs: int = 1
+) -> dict[str, dict]:
+    """By case with an effect, the answer of who is told the effect and its place (the rival "oracle"); those that are there are kept."""
+    files = {name: out / name / "oracle.json" for name, label in labels.items() if label["kind"] == "effect" and (data / name).is_dir()}
+    todo = [(data / name, ("oracle",), preset, device, labels[name]) for name, file in files.items() if not file.exists()]
+    for (case, *_), found in each(answer_case, todo, jobs=jobs, device=device):
+        write_json(files[case.name], found["oracle"])
+    return {name: read_json(file) for name, file in files.items()}
+
+
 def decided(result: dict, c: Calibration) -> dict:
     """``result`` with the decision taken again from its evidence."""
     if "evidence" not in result:
@@ -96,11 +109,12 @@ def truth(label: dict) -> str:
     return Row("", label, {}).truth
 
 
-def score(results: dict[str, dict], labels: dict[str, dict]) -> dict:
+def score(results: dict[str, dict], labels: dict[str, dict], told: Mapping[str, dict] | None = None) -> dict:
     """Figures by the rules of the challenge: alarms on controls, effects found, names right first and among two, names for the nameless,
-    place and onset of what was named rightly, and the share of the closable error that the named term removes on the transfer recording.
+    place and onset of what was named rightly, and the share of the closable error that the named term removes on the transfer recording;
+    where ``told`` has the answers of those who know (``ceilings``), what is removed over what they remove.
     """
-    rows = [Row(k, labels[k], results[k]) for k in sorted(results) if k in labels]
+    rows = [Row(k, labels[k], results[k], (told or {}).get(k)) for k in sorted(results) if k in labels]
     controls, effects, outside = ([r for r in rows if r.kind == kind] for kind in ("control", "effect", "outside"))
     first = [r for r in effects if r.first]
     places = [d for r in first if (d := _distance(r.answer, r.label)) is not None]
@@ -126,6 +140,7 @@ def score(results: dict[str, dict], labels: dict[str, dict]) -> dict:
         "onset_frames": float(np.median(onsets)) if onsets else None,
         "closed": float(np.median(shares)) if shares else None,
         "seconds": float(np.median([r.answer["seconds"] for r in rows])),
+        **({f"of_oracle_{part}": of_the_ceiling(effects, part) for part in ("heldout", "transfer")} if told else {}),
     }
 
 
@@ -354,31 +369,38 @@ def _sure(controls, share):
     return {kind: round(float(np.quantile(values, share)), 4) for kind, values in sorted(chances.items())}
 
 
-def study(folders: Sequence[Path], out: Path, *, preset: str, device: str, jobs: int, calibrating: bool) -> tuple[dict, dict]:
-    """Answers and labels of folders of cases; scores.json, cases.md and, ``calibrating``, calibration.json are written into ``out``.
+def study(
+    folders: Sequence[Path], out: Path, *, preset: str, device: str, jobs: int, calibrating: bool = False, ceiling: bool = False
+) -> tuple[dict, dict, dict]:
+    """Answers, labels and scores of folders of cases; scores.json, cases.md and, ``calibrating``, calibration.json go into ``out``.
 
+    ``ceiling``: whoever is told answers too.
     Where there are several folders, cases bear their names too. Raises ValueError where two are called alike, or one has no labels.
     """
     if not folders:
         raise ValueError("no folder of cases is named")
     if len({data.name for data in folders}) < len(folders):
         raise ValueError(f"folders of cases must have different names, got {', '.join(map(str, folders))}")
-    results, labels = {}, {}
+    results, labels, told = {}, {}, {}
     for data in folders:
         file, own = data / LABELS, f"{data.name}/" if len(folders) > 1 else ""
         if not file.is_file():
             raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
-        labels |= {own + name: label for name, label in json.loads(file.read_text()).items()}
-        results |= {own + name: found for name, found in answers(data, out / own, preset=preset, device=device, jobs=jobs).items()}
+        known, how = json.loads(file.read_text()), {"preset": preset, "device": device, "jobs": jobs}
+        labels |= {own + name: label for name, label in known.items()}
+        results |= {own + name: found for name, found in answers(data, out / own, **how).items()}
+        if ceiling:
+            told |= {own + name: found for name, found in ceilings(data, out / own, known, **how).items()}
     if calibrating:
         fitted = calibrate(results, labels, source=f"{len(results)} cases of {' and '.join(data.name for data in folders)}")
         named, both, sure = thresholds(results, labels)
         fitted = replace(fitted, named=named, both=both, sure=sure)
         (out / "calibration.json").write_text(fitted.to_json() + "\n")
         results = crossed(results, labels, thresholds=fitted)
-    (out / "scores.json").write_text(json.dumps(score(results, labels), indent=1) + "\n")
+    scored = score(results, labels, told)
+    (out / "scores.json").write_text(json.dumps(scored, indent=1) + "\n")
     (out / "cases.md").write_text(by_effect(results, labels) + "\n\n" + markdown(results, labels) + "\n")
-    return results, labels
+    return results, labels, scored
 
 
 def _again(result, c):

@@ -290,6 +290,12 @@ def _gains(part):
     return number
 
 
+def of_the_ceiling(rows, part: str) -> float | None:
+    """Error on ``part`` that the answers remove, over what those remove who were told; None where nobody was, or could remove any."""
+    numbers = [one for one in map(_gains(part), rows) if one is not None]
+    return _ratio(numbers) if numbers else None
+
+
 def _ratio(some):
     return sum(g for g, _ in some) / sum(most for _, most in some)
 

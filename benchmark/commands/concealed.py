@@ -30,6 +30,8 @@ class Concealed:
     """Cases that are diagnosed at the same time."""
     calibrate: bool = False
     """Fit the decision to these labels, write calibration.json, and score each case by a decision that did not see it (8-fold)."""
+    ceiling: bool = False
+    """Have who is told the effect and its place answer too, and say what share of what they gain the answers gain."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("results/concealed")
     """Folder for the answers, scores.json and cases.md."""
 
@@ -38,10 +40,9 @@ class Concealed:
 
         known("preset", [self.preset], PRESETS)
         known("device", [self.device], DEVICES)
-        results, labels = concealed.study(
-            self.data, writable(self.out), preset=self.preset, device=self.device, jobs=self.jobs, calibrating=self.calibrate
-        )
+        how = {"preset": self.preset, "device": self.device, "jobs": self.jobs, "calibrating": self.calibrate, "ceiling": self.ceiling}
+        results, labels, scored = concealed.study(self.data, writable(self.out), **how)
         print(concealed.by_effect(results, labels))
-        print("\n".join(f"{name:16} {value}" for name, value in concealed.score(results, labels).items()))
+        print("\n".join(f"{name:16} {value}" for name, value in scored.items()))
         print(f"Written to {self.out}")
         return 1 if any(r["verdict"] == "failed" for r in results.values()) else 0

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from twinbench.benchmark.cli import main
-from twinbench.benchmark.concealed import answers, by_effect, calibrate, closed, crossed, decided, markdown, score, study, truth
+from twinbench.benchmark.concealed import answers, by_effect, calibrate, ceilings, closed, crossed, decided, markdown, score, study, truth
 from twinbench.diagnosis.verdict import FEATURES, KINDS, NONE, OTHER, USUAL, Calibration, decide
 
 
@@ -251,6 +251,29 @@ def test_answers_that_are_there_are_kept_and_the_command_scores_them(tmp_path, c
     scores = json.loads((out / "scores.json").read_text())
     assert {k: v for k, v in scores.items() if k != "seconds"} == {k: v for k, v in score(RESULTS, LABELS).items() if k != "seconds"}
     assert (out / "cases.md").read_text().startswith("| truth | cases |")
+
+
+def test_what_is_removed_is_told_over_what_those_remove_who_know():
+    fits = {"a": (0.10, 0.07), "b": (0.10, None), "c": (0.10, 0.02)}  # b was not named
+    known = {"a": (0.10, 0.05), "b": (0.10, 0.06), "c": (0.10, 0.099)}  # of c even they remove next to nothing
+    results = {
+        k: answered("missing" if end else "adequate", end and "wind", transfer=errors(start, end, 0.001))
+        for k, (start, end) in fits.items()
+    }
+    told = {k: {"fit": {"transfer": errors(start, end, 0.001)}} for k, (start, end) in known.items()}
+    found = score(results, dict.fromkeys(results, label("effect", "wind")), told)
+    assert found["of_oracle_transfer"] == pytest.approx((0.03 + 0.0) / (0.05 + 0.04))
+    assert found["of_oracle_heldout"] is None  # nobody gave those
+    assert "of_oracle_transfer" not in score(results, dict.fromkeys(results, label("effect", "wind")))
+
+
+def test_who_knows_answers_cases_with_an_effect_alone_and_what_is_there_is_kept(tmp_path):
+    labels = {"case_1": label("effect", "wind"), "case_2": label("control"), "case_3": label("effect", "wind")}
+    for name in ("case_1", "case_2"):
+        (tmp_path / "cases" / name / "fit").mkdir(parents=True)
+    (tmp_path / "out" / "case_1").mkdir(parents=True)
+    (tmp_path / "out" / "case_1" / "oracle.json").write_text('{"fit": {}}')
+    assert ceilings(tmp_path / "cases", tmp_path / "out", labels) == {"case_1": {"fit": {}}}
 
 
 def test_what_is_no_folder_of_cases_is_refused(tmp_path, capsys):
