@@ -26,7 +26,7 @@ __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
 FORESEEN = 8  # refits whose foresight is looked into: it costs as much as half a refit
-SETTLED = 6  # times as many steps until the twin has settled: what an effect had to be put into is found late, and says less of the effect
+PATIENT = 6  # times as many steps for the twin itself, until it has settled: what stands in for an effect is found late
 FIXED = 3  # times as many steps for refits beside a fixed twin of a solid: a load has few numbers to turn, and far to go
 UNHELD = 0.7  # share of the frames that is fitted where a recording declares no held-out ones
 
@@ -168,7 +168,7 @@ def inquire(
     steps = preset.steps * (FIXED if fitted_on and replicas[0].solid else 1)
     start = _firm(found) if fitted_on else first_fit(task, model, iterations=preset.first)
     wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH, finest)
-    base = refit(task, start, [], iterations=SETTLED * steps, spacing=replicas[0].spacing)[0]
+    base = refit(task, start, [], iterations=PATIENT * steps, spacing=replicas[0].spacing)[0]
     watched = [wide.predict(base.model, [base.z])[k][0] for k in range(len(wide.simulators))]
     push = [missing_acceleration(s.replica, x, BANDWIDTH) for s, x in zip(wide.simulators, watched, strict=True)]
 

@@ -6,9 +6,11 @@ from twinbench.datasets.scenario import Observed
 from twinbench.diagnosis.baseline import FINER, LEVELS, STEADY, baseline_model, first_fit, steady
 from twinbench.diagnosis.diagnose import FEWEST, affordable
 from twinbench.diagnosis.fit import Task
+from twinbench.diagnosis.hypotheses import hypotheses_for
 from twinbench.diagnosis.inquiry import PRESETS
-from twinbench.diagnosis.model import MOST, Simulator
+from twinbench.diagnosis.model import JUDGED, MOST, Simulator
 from twinbench.diagnosis.replica import build_replica
+from twinbench.physics.terms.compression_softening import CompressionSoftening
 
 
 def test_no_stiffness_is_tried_that_the_substeps_of_a_frame_do_not_carry(tiny):
@@ -48,6 +50,27 @@ def test_a_stuffed_body_is_as_soft_as_what_is_seen_allows():
         model = steady(baseline_model([simulator.replica]), [simulator])
         found.append(first_fit(Task([simulator], [10], 2.0), model, iterations=1).values["body_stiffness"])
     assert found[0] == pytest.approx(LEVELS[0], rel=0.1) and found[1] > 10 * found[0]
+
+
+def test_only_sheets_give_way_where_they_are_squeezed(tiny):
+    # what a twin has from the start can be no answer to what it lacks; folds finer than its nodes are a sheet's alone
+    sheet, block = tiny.drawn(tiny.concealing(frames=12, train_end=8)).replica, build_replica(stuffed(), nodes=40)
+    assert CompressionSoftening in baseline_model([sheet]).terms
+    assert CompressionSoftening not in baseline_model([block]).terms
+    assert "compression_softening" not in baseline_model([block]).names
+    assert "compression_softening" in {
+        h.effect for h in hypotheses_for(Simulator(block), *(np.zeros((10, len(block.nodes), 3)) for _ in range(2)))
+    }
+
+
+def test_what_is_judged_may_take_more_substeps_than_what_is_fitted():
+    simulator = Simulator(build_replica(stuffed(), nodes=40))
+    model = baseline_model([simulator.replica])
+    stiff = {**model.decode(np.zeros(len(model.knobs))), "body_stiffness": 2e5}
+    needed = simulator.substeps(model.terms, stiff, most=10**6)
+    assert MOST < needed < JUDGED
+    assert simulator.substeps(model.terms, stiff) == MOST
+    assert simulator.substeps(model.terms, stiff, most=JUDGED) == needed
 
 
 def test_long_recordings_and_stuffed_bodies_get_fewer_nodes():
