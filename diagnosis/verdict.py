@@ -222,7 +222,7 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     unforeseen = np.mean([np.log(inquiry.base.foreseen[p.name] / width) / 2 for p in others])
     misfit = np.log(inquiry.base.observed["train"] / width) / 2
     free = np.array([inquiry.base.free[p.name] for p in others]) / inquiry.case.spacing
-    known = np.log(free[np.isfinite(free)])  # a twin that blew up says nothing
+    known = np.log(free[np.isfinite(free) & (free > 0)])  # a twin that blew up says nothing
     chain = bool(inquiry.case.system.chains)
     sheet = not chain and not len(inquiry.case.recording.interior)
     around = {"learned": np.mean(gains), "best": best, "misfit": misfit, "unforeseen": unforeseen, **turning(inquiry)}
