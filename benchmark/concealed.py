@@ -210,8 +210,9 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     bounds = [limits.get(name, (None, None)) for name in features]
     bounds += [(SELDOM.get(term, 0.0),) * 2 if term in SEEN else (None, None) for term in terms]
     # Errors speak against "adequate"; what they speak for is the readings' to say.
-    against = [(None, 0) if any(name.startswith(f"{usual}_") for usual in USUAL) else (None, None) for name in around]
-    bounds += [(None, None), *against, (None, None), *((0, 0) if high == 0 else (low, high) for low, high in against)]
+    errors = [any(name.startswith(f"{usual}_") for usual in USUAL) for name in around]
+    for limit in ((None, 0), (0, 0)):  # of "adequate", then of "unknown"
+        bounds += [(None, None), *(limit if error else (None, None) for error in errors)]
     found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
     c = unpack(np.round(found.x, 4))
     weights, biases = ({k: float(v) for k, v in of.items()} for of in (c.weights, c.biases))
@@ -346,9 +347,9 @@ def thresholds(
         for both in (0.4, 0.5, 0.6, 0.7, 0.8, 0.9):
             if both < named:
                 continue
-            worth = 0.0
+            c, worth = Calibration({}, {}, {}, named=named, both=both, sure=sure), 0.0
             for run in runs:
-                s = score({k: _again(r, Calibration({}, {}, {}, named=named, both=both, sure=sure)) for k, r in run.items()}, labels)
+                s = score({k: _again(r, c) for k, r in run.items()}, labels)
                 worth -= 10 * max(0.0, s["named_alarms"] - alarms * s["controls"])
                 worth += (
                     s["right_first"]
