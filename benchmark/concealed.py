@@ -44,6 +44,7 @@ SURE = 30.0  # log odds for each unit of what recordings say by themselves: it p
 SELDOM = {"camera_pose_seen": -1.2}  # log odds: that all cameras are off alike is rarer than that the ground is
 FOLDS = 8
 POOLED = 4.0  # cases without an effect that what all terms show together counts for, beside a term's own
+PLAIN = ""  # of what does not depend on the context
 TELLS = 0.15  # log of the share of error left by a reading from which on it explains something
 
 
@@ -167,34 +168,25 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     from scipy.optimize import minimize
 
     rows = [(*_evidence(r), truth(labels[k])) for k, r in sorted(results.items()) if k in labels and "evidence" in r]
-    terms = sorted({r.key for found, _, _ in rows for r in found})
-    features = (*FEATURES, *SEEN)
-    around = list(CONTEXT)
     null, usual = _null(rows), _usual(rows)
-    start = np.zeros(len(features) + len(terms) + 2 * (len(around) + 1))
+    terms = sorted({r.key for found, _, _ in rows for r in found})
+    unknowns = [("weight", name) for name in (*FEATURES, *SEEN)] + [("bias", term) for term in terms]
+    unknowns += [(of, name) for of in (NONE, OTHER) for name in (PLAIN, *CONTEXT)]
 
-    def unpack(v):
-        weights = dict(zip(features, v, strict=False))
-        v = v[len(features) :]
-        biases = dict(zip(terms, v, strict=False))
-        v = v[len(terms) :]
-        context = {}
-        for k, name in enumerate((NONE, OTHER)):
-            part = v[k * (len(around) + 1) : (k + 1) * (len(around) + 1)]
-            biases[name] = part[0]
-            context[name] = dict(zip(around, part[1:], strict=True))
-        return Calibration(weights, biases, context, null=null, usual=usual)
+    def told(values):
+        table = dict(zip(unknowns, map(float, values), strict=True))
+        weights, biases = ({name: v for (of, name), v in table.items() if of == block} for block in ("weight", "bias"))
+        biases |= {of: table[of, PLAIN] for of in (NONE, OTHER)}
+        return Calibration(weights, biases, {of: {n: table[of, n] for n in CONTEXT} for of in (NONE, OTHER)}, null=null, usual=usual)
 
-    # Scores are affine in v: their slopes are found by asking for each unit vector once.
-    offset = _scores(rows, unpack(start))
-    names = [scores(found, context, unpack(start))[0] for found, context, _ in rows]
-    slopes = np.stack([_scores(rows, unpack(unit)) - offset for unit in np.eye(len(start))], 1)
+    # Scores are affine in the unknowns: their slopes are found by asking for each of them once.
+    nothing = told(np.zeros(len(unknowns)))
+    offset = _scores(rows, nothing)
+    slopes = np.stack([_scores(rows, told(unit)) - offset for unit in np.eye(len(unknowns))], 1)
+    names = [scores(found, context, nothing)[0] for found, context, _ in rows]
     first = np.cumsum([0, *map(len, names)])[:-1]
     right = np.concatenate([_right(found, of, true) for of, (found, _, true) in zip(names, rows, strict=True)])
-    ridge = np.full(len(start), RIDGE)
-    ridge[len(FEATURES) : len(features)] = 0.0
-    ridge[len(features) : len(features) + len(terms)] = RIDGE_BIAS
-    ridge[len(features) + len(terms) :: len(around) + 1] = 0.0  # how often nothing, or something else, is missing is the labels' to say
+    ridge = np.array([_ridge(*unknown) for unknown in unknowns])
 
     def cost(v):
         """Mean negative log likelihood of the truths with its priors, and its gradient."""
@@ -204,19 +196,34 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
         gradient = slopes.T @ (all_share - right_share) / len(rows) + 2 * ridge * v
         return float((all_of - right_of).mean() + ridge @ v**2), gradient
 
-    # A gain never speaks against its effect, nor does being told from the twin's own numbers; an amplitude more never speaks for it.
-    gains = dict.fromkeys((*GAINS, *SHOWS, *TURNS), (0, None))
-    limits = {**gains, **dict.fromkeys(SEEN, (SURE, SURE)), "kept": (0, None), "extra": (None, 0)}
-    bounds = [limits.get(name, (None, None)) for name in features]
-    bounds += [(SELDOM.get(term, 0.0),) * 2 if term in SEEN else (None, None) for term in terms]
-    # Errors speak against "adequate"; what they speak for is the readings' to say.
-    errors = [any(name.startswith(f"{usual}_") for usual in USUAL) for name in around]
-    for limit in ((None, 0), (0, 0)):  # of "adequate", then of "unknown"
-        bounds += [(None, None), *(limit if error else (None, None) for error in errors)]
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds)
-    c = unpack(np.round(found.x, 4))
-    weights, biases = ({k: float(v) for k, v in of.items()} for of in (c.weights, c.biases))
-    return Calibration(weights, biases, c.context, source=source, null=null, usual=usual)
+    found = minimize(cost, np.zeros(len(unknowns)), jac=True, method="L-BFGS-B", bounds=[_bounds(*unknown) for unknown in unknowns])
+    return replace(told(np.round(found.x, 4)), source=source)
+
+
+def _ridge(of: str, name: str) -> float:
+    """How strongly an unknown of the calibration is drawn to zero. How often nothing, or something else, is missing is free."""
+    if of == "weight":
+        return 0.0 if name in SEEN else RIDGE
+    return RIDGE_BIAS if of == "bias" else 0.0 if name == PLAIN else RIDGE
+
+
+def _bounds(of: str, name: str) -> tuple[float | None, float | None]:
+    """Between which an unknown of the calibration is looked for.
+
+    A gain never speaks against its effect, nor does being told from the twin's own numbers; an amplitude more never speaks for it. Errors
+    only speak against "adequate"; what they speak for is the readings' to say.
+    """
+    if of == "weight" and name in SEEN:
+        return SURE, SURE
+    if of == "weight" and (name == "kept" or name in (*GAINS, *SHOWS, *TURNS)):
+        return 0, None
+    if of == "weight" and name == "extra":
+        return None, 0
+    if of == "bias" and name in SEEN:
+        return (SELDOM.get(name, 0.0),) * 2
+    if of in (NONE, OTHER) and any(name.startswith(f"{usual}_") for usual in USUAL):
+        return None if of == NONE else 0, 0
+    return None, None
 
 
 def _null(rows) -> dict[str, dict[str, list[float]]]:

@@ -36,7 +36,7 @@ VISIBLE = 0.005  # m: what eyes can tell
 
 
 @dataclass(frozen=True)
-class Reading:
+class Side:
     """One side: its name, the clause after "if", and its twin."""
 
     name: str
@@ -79,7 +79,7 @@ class Plan:
         return self.separation >= TELLING and self.look is not None
 
 
-def plan(simulator: Simulator, rivals: Sequence[Reading], *, error: float = 0.0, finest: float = 0.0) -> Plan | None:
+def plan(simulator: Simulator, rivals: Sequence[Side], *, error: float = 0.0, finest: float = 0.0) -> Plan | None:
     """The best motion to tell two ``rivals`` apart on the body of ``simulator``, or None where none can be simulated.
 
     error   m, by which such twins are off in free runs; finest: that nobody asks them for
@@ -143,10 +143,10 @@ def _planned(inquiry, names, verdict) -> Plan | None:
         if not mine:
             return None
         one = max(mine, key=lambda r: r.promise)
-        rivals.append(Reading(name.replace("_", " "), one.score.hypothesis.term.effect.says, one.found.fit))
+        rivals.append(Side(name.replace("_", " "), one.score.hypothesis.term.effect.says, one.found.fit))
         twins.append(one.found)
     if verdict != "ambiguous":
-        rivals.append(Reading("nothing", "nothing is missing", inquiry.base.fit))
+        rivals.append(Side("nothing", "nothing is missing", inquiry.base.fit))
         twins.append(inquiry.base)
     if len(rivals) < 2 or not len(inquiry.case.recording.controllers[0]):
         return None

@@ -12,7 +12,7 @@ from twinbench.diagnosis.baseline import baseline_model
 from twinbench.diagnosis.fit import INDEPENDENT, Fit, Task, fit
 from twinbench.diagnosis.model import Knob, Simulator
 from twinbench.diagnosis.motions import LIBRARY, Setting, motions
-from twinbench.diagnosis.planner import Reading, plan
+from twinbench.diagnosis.planner import Side, plan
 from twinbench.diagnosis.replica import build_replica
 from twinbench.diagnosis.skins import heaviness
 from twinbench.diagnosis.verdict import Decision
@@ -92,7 +92,7 @@ def test_the_planned_motion_decides_what_the_recording_left_open(tiny, pair, pat
     truth, sign = pair[which], (1, -1)[which]
     case = film(tiny, path, truth)
     simulator, before = fitted(tiny, [case], pair)
-    found = plan(simulator, [Reading(t.effect.name, t.effect.says, f) for t, f in zip(pair, before, strict=True)], error=1e-3)
+    found = plan(simulator, [Side(t.effect.name, t.effect.says, f) for t, f in zip(pair, before, strict=True)], error=1e-3)
     assert found.telling and found.separation >= max(found.others.values())
     new = film(tiny, found.motion.controllers, truth)
     _, after = fitted(tiny, [case, new], pair, before)
@@ -126,7 +126,7 @@ def drags(tiny):
 
 
 def sides(fits):
-    return [Reading(name, f"it is {name}", one) for name, one in zip(("one", "the other"), fits, strict=True)]
+    return [Side(name, f"it is {name}", one) for name, one in zip(("one", "the other"), fits, strict=True)]
 
 
 def test_no_motion_is_better_than_the_planned_one(drags, monkeypatch):
