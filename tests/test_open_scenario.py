@@ -9,13 +9,14 @@ from twinbench.datasets.scenario import Scenario, Split
 
 @pytest.fixture
 def folder(tmp_path):
+    root = tmp_path / "by" / "itself"  # beside no recordings of other tests
     points = np.random.default_rng(0).uniform(0, 0.1, (4, 5, 3))
     there = np.ones((4, 5), bool)
     given = dict(points=points, visible=there, motion_valid=there, controllers=points[:, :1], split=Split(3, 4))
     for name in ("lift", "push"):
-        write_case(tmp_path / "cases" / name, Scenario(name=name, **given))
-    write_case(tmp_path / "alone" / "only", Scenario(name="only", **given))
-    return tmp_path
+        write_case(root / "cases" / name, Scenario(name=name, **given))
+    write_case(root / "alone" / "only", Scenario(name="only", **given))
+    return root
 
 
 def test_a_recording_is_named_by_its_folder_or_by_its_name_in_one(folder):

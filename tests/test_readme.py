@@ -43,7 +43,7 @@ def test_the_first_screen_has_a_picture_two_commands_and_the_table():
     first = TEXT.split("## ")[0]
     assert "results/sample.png" in first and first.count("```bash") == first.count("```text") == 1
     assert INSTALL_AND_RUN == "pip install -e . && twinbench run"
-    assert INSTALL_AND_TEST == 'pip install -e ".[test]" && python -m pytest'
+    assert INSTALL_AND_TEST == 'pip install -e ".[test]" && python -m pytest --numprocesses=2 --dist=loadfile'
     assert (ROOT / "results" / "sample.png").stat().st_size < 150_000
     assert (ROOT / "results" / "sample.png").read_bytes().startswith(b"\x89PNG")
 
