@@ -205,11 +205,11 @@ def one_line(capsys, *arguments):
 
 
 def test_bad_input_is_one_line_and_nothing_is_written(folders, tmp_path, recordings, capsys):
-    case, out = folders / "swing", tmp_path / "out"
+    case, out, nowhere = folders / "swing", tmp_path / "out", tmp_path / "far" / "from" / "others"
     assert "unknown preset 'qick'; did you mean 'quick'" in one_line(capsys, case, "--preset", "qick", "--out", out)
     assert "unknown device 'gpu'" in one_line(capsys, case, "--device", "gpu", "--out", out)
-    assert f"no recording at {tmp_path / 'nowhere'}: " in one_line(capsys, tmp_path / "nowhere", "--out", out)
-    assert f"no recording at {tmp_path / 'nowhere'}: " in one_line(capsys, case, "--transfer", tmp_path / "nowhere", "--out", out)
+    assert f"no recording at {nowhere}: " in one_line(capsys, nowhere, "--out", out)
+    assert f"no recording at {nowhere}: " in one_line(capsys, case, "--transfer", nowhere, "--out", out)
     assert "swing" in one_line(capsys, folders, "--out", out)  # holds two: the line names them
     assert not out.exists()
     write_case(tmp_path / "short", recordings[0].with_split(6))
