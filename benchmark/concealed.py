@@ -61,7 +61,7 @@ def answer(case: Path, out: Path, preset: str, device: str) -> dict:
     except Exception as error:
         traceback.print_exc()
         return {"verdict": "failed", "error": f"{type(error).__name__}: {error}", "seconds": time.time() - begun}
-    return json.loads((out / case.name / "diagnosis.json").read_text())
+    return read_json(out / case.name / "diagnosis.json")
 
 
 def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", jobs: int = 1, progress=print) -> dict[str, dict]:
@@ -71,7 +71,7 @@ def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu"
         raise ValueError(
             f"{data}: no case_*/fit and case_*/transfer here; write some with python -m twinbench.datasets.concealed --out {data}"
         )
-    done = {c.name: json.loads((out / c.name / "diagnosis.json").read_text()) for c in cases if (out / c.name / "diagnosis.json").exists()}
+    done = {c.name: read_json(file) for c in cases if (file := out / c.name / "diagnosis.json").exists()}
     todo = [(c, out, preset, device) for c in cases if c.name not in done]
     for (case, *_), found in each(answer, todo, jobs=jobs, device=device):
         done[case.name] = found
@@ -389,12 +389,12 @@ def study(
         raise ValueError("no folder of cases is named")
     if len({data.name for data in folders}) < len(folders):
         raise ValueError(f"folders of cases must have different names, got {', '.join(map(str, folders))}")
-    results, labels, told = {}, {}, {}
+    results, labels, told, how = {}, {}, {}, {"preset": preset, "device": device, "jobs": jobs}
     for data in folders:
         file, own = data / LABELS, f"{data.name}/" if len(folders) > 1 else ""
         if not file.is_file():
             raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
-        known, how = json.loads(file.read_text()), {"preset": preset, "device": device, "jobs": jobs}
+        known = read_json(file)
         labels |= {own + name: label for name, label in known.items()}
         results |= {own + name: found for name, found in answers(data, out / own, **how).items()}
         if ceiling:
