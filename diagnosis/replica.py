@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,6 +27,9 @@ ROW = 12  # nodes that a rope must at least show
 LONGEST = 33  # nodes of a rope that is no row of markers: closer ones lie on its skin, here and there, and are off by three times as much
 THINNER = 1.3  # step of trying fewer nodes
 CARRIED = 0.25  # share of its way by which what a hand carries may stay behind
+IN_HAND = 0.007  # m: what a node of a rope strays at most from where its hand would carry it
+WHILE = 1.0  # s since a hand set off, in which that is looked at
+EXIT = 0.6  # of the way to the next node, either way, within which a rope may leave a hand from the last node that is held
 SET_OFF = (0.008, 0.06)  # m: a hand's way while one sees what it carries
 FIST = 0.05  # m, between points of one hand
 LOWEST = 0.05  # share of the nodes that may be lower than what lies on the ground; of a rope, whose nodes all lie alike, half
@@ -139,10 +143,13 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
     held = np.unique(recording.grips[recording.grips >= 0])
     body = like and _laid(recording, like, held, fitted)
     body = body or _drawn(recording, nodes, like, held, fitted)
+    hands = np.flatnonzero(recording.grips < 0)
+    early = replace(body.sightings, position=body.sightings.position[:fitted])
+    ties = hand_ties(recording, body.positions, early, body.spacing, hands, rope=bool(body.chains))
+    if body.chains and len(ties) and not len(held):
+        body = _ending_in_hands(recording, body, ties, fitted)
     positions, sightings, own = body.positions, body.sightings, body.spacing
     early = replace(sightings, position=sightings.position[:fitted])
-    hands = np.flatnonzero(recording.grips < 0)
-    ties = hand_ties(recording, positions, early, own, hands)
     grips = np.full(len(recording.grips), -1)
     for c, point in enumerate(recording.grips):
         if point >= 0:
@@ -191,11 +198,15 @@ def _drawn(recording, nodes, like, held, fitted) -> _Body:
     own = like.spacing if like else _spacing(positions)
     springs = _joined(positions, object_springs(positions, radius=REACH * own, max_neighbours=MOST))
     home = _home(recording, positions, like)
-    chains = _alike(marked[1] if marked else rope_chains(apart(positions, sightings.position[:fitted])), home, like)
+    found = marked[1] if marked else rope_chains(apart(positions, sightings.position[:fitted])) or rope_chains(apart(structure[chosen]))
+    chains = _alike(found, home, like)
     if chains:
         springs = _along(springs, chains)
         if not marked:
-            _centre(positions, structure, np.isfinite(sightings.position[0, :, 0]))
+            positions = _on_axis(positions, structure)
+            positions, sightings = sight_nodes(recording.points, recording.visible, positions, fitted=fitted, keep=True)
+            positions[: len(held)] = structure[held]
+            home = _home(recording, positions, like)
     hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, springs)
     facets = None if chains else facets_of(recording, positions, springs, own)
     masses = _masses(recording, positions, len(held), chains if marked else ())
@@ -270,8 +281,11 @@ def _lift(recording, positions, spacing, share):
     return low if 0 < low < LYING * spacing else 0.0
 
 
-def hand_ties(recording, positions, sightings, spacing, hands) -> np.ndarray:
-    """(L, 2) springs between nodes and hand points: within reach of each other in frame 0, and at first carried along by that hand."""
+def hand_ties(recording, positions, sightings, spacing, hands, *, rope: bool = False) -> np.ndarray:
+    """(L, 2) springs between nodes and hand points: within reach of each other in frame 0, and at first carried along by that hand.
+
+    Of a ``rope`` only what is in the hand: a node beyond where it leaves the hand, if that held it too, would keep it from turning there.
+    """
     from scipy.spatial import cKDTree
 
     ties = controller_springs(recording.controllers[0, hands], positions, radius=GRIP_REACH * spacing, max_neighbours=GRIP_MOST).astype(int)
@@ -285,8 +299,12 @@ def hand_ties(recording, positions, sightings, spacing, hands) -> np.ndarray:
     for label in np.unique(fist):
         mine = np.flatnonzero(fist[ties[:, 0]] == label)
         nodes = np.unique(ties[mine, 1])
-        strays = _strays(recording.controllers[:, hands[fist == label]], sightings.position[:, nodes], positions[nodes])
+        hand = recording.controllers[:, hands[fist == label]]
+        seen = sightings.position
+        strays = _strays(hand, seen[:, nodes], positions[nodes])
         held = nodes[strays <= max(CARRIED, np.sort(strays)[:2].max())]
+        if rope:
+            held = held[_in_hand(hand, seen[:, held], positions[held], recording.fps)]
         kept[mine] = np.isin(ties[mine, 1], held)
     ties = ties[kept]
     ties[:, 0] = len(positions) + hands[ties[:, 0]]
@@ -314,6 +332,54 @@ def _strays(hand, seen, start):
     with where_unseen():
         stray = np.nanmedian(shares, axis=0)
     return np.where(np.isfinite(stray), stray, 0.0)
+
+
+def _in_hand(hand, seen, start, fps):
+    """(n,) bool: which nodes of a rope at ``start`` (n, 3), ``seen`` (T, n, 3), a hand (T, C, 3) holds; two at least: it turns them.
+
+    A node that was not seen is in the hand if it is no farther from the middle of the hand's points than these are.
+    """
+    moves = _setting_off(hand, len(seen), fps)
+    carried = np.array([start @ rotation.T + shift for rotation, shift in moves.values()])
+    with where_unseen():
+        stray = np.nanmedian(np.linalg.norm(seen[list(moves)] - carried, axis=-1), axis=0) / IN_HAND
+    middle = hand[0].mean(0)
+    radius = np.sqrt(np.mean(np.sum((hand[0] - middle) ** 2, axis=1)))
+    far = np.linalg.norm(start - middle, axis=1)
+    beyond = np.where(np.isfinite(stray), stray, far / max(radius, far.min()))
+    return beyond <= max(1.0, np.sort(beyond)[:2].max())
+
+
+def _setting_off(hand, frames, fps):
+    """By frame of the first ``WHILE`` in which a hand (T, C, 3) moves, of so many ``frames``: its rotation and shift since frame 0."""
+    way = np.linalg.norm(hand - hand[0], axis=-1).mean(1)[:frames]
+    begun = int(np.argmax(way > SET_OFF[0]))
+    return {k: rigid_transform(hand[0], hand[k]) for k in range(begun, min(len(way), begun + round(WHILE * fps)))}
+
+
+def _ending_in_hands(recording, body: _Body, ties, fitted) -> _Body:
+    """The rope with the last node that a hand holds moved to where the rope leaves the hand.
+
+    That is the point from which the first free node keeps its distance along the rope, however the rope turns there.
+    """
+    positions, seen = body.positions.copy(), body.sightings.position[:fitted]
+    fist = fists(recording.controllers[0])
+    holder = dict(zip(ties[:, 1].tolist(), fist[ties[:, 0] - len(positions)].tolist(), strict=True))
+    steps = [step for chain in body.chains for step in (*pairwise(chain.tolist()), *pairwise(chain[::-1].tolist()))]
+    for last, free in steps:
+        if last not in holder or free in holder:
+            continue
+        moves = _setting_off(recording.controllers[:, fist == holder[last]], len(seen), recording.fps)
+        step = body.positions[free] - body.positions[last]
+        share = np.linspace(-EXIT, EXIT, 21)
+        exits = body.positions[last] + share[:, None] * step
+        carried = np.array([exits @ rotation.T + shift for rotation, shift in moves.values()])
+        stretch = np.linalg.norm(seen[list(moves), free][:, None] - carried, axis=-1) - (1 - share) * np.linalg.norm(step)
+        if np.isfinite(stretch).any():
+            positions[last] = exits[np.nanmean(stretch**2, axis=0).argmin()]
+    sightings = sight_nodes(recording.points, recording.visible, positions, fitted=fitted, keep=True)[1]
+    home = positions if np.array_equal(body.home, body.positions) else body.home
+    return replace(body, positions=positions, sightings=sightings, home=home)
 
 
 def _marked_rope(recording, nodes, held, fitted):
@@ -355,15 +421,14 @@ def _along(springs, chains):
     return np.unique(both, axis=0)
 
 
-def _centre(positions, structure, seen):
-    """Move the nodes of a rope that were never seen to the middle of the particles around them: from its skin to its axis."""
+def _on_axis(positions, structure):
+    """Nodes of a rope moved to the middle of the particles around them: from the side of its skin that is seen to its axis."""
     from scipy.spatial import cKDTree
 
     owner = cKDTree(positions).query(structure)[1]
-    for node in np.flatnonzero(~seen):
-        mine = structure[owner == node]
-        if len(mine):
-            positions[node] = mine.mean(0)
+    count = np.bincount(owner, minlength=len(positions))[:, None]
+    middle = np.stack([np.bincount(owner, axis, len(positions)) for axis in structure.T], 1) / np.maximum(1, count)
+    return np.where(count > 0, middle, positions)
 
 
 def _home(recording, positions, like):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from twinbench.datasets.scenario import Plane
+from twinbench.diagnosis import replica
 from twinbench.diagnosis.model import Simulator
 from twinbench.diagnosis.replica import build_replica, fists, hand_ties
 from twinbench.diagnosis.sightings import Sightings
@@ -78,6 +79,66 @@ def test_what_a_node_does_after_the_fitted_frames_unties_nothing(tiny):
     left = pulled(tiny, behind=[3], since=3)
     assert left(fitted=3) == pulled(tiny)()
     assert left() == pulled(tiny)() - {3}
+
+
+LENGTH, EXIT = 0.6, 0.034
+
+
+def hanging(tiny, *, radius=0.0):
+    """A straight rope that a hand lifts by one end; beyond ``EXIT`` [m] it turns down about there, by up to a quarter turn.
+
+    Its points are on its axis, or where it has a ``radius`` on its skin, of which the upper half is tracked.
+    """
+    s = np.repeat(np.arange(0, LENGTH + 1e-9, 0.005), 5 if radius else 1)
+    around = np.tile(np.linspace(-0.5, 0.5, 5), len(s))[: len(s)] * np.pi if radius else np.zeros(len(s))
+    side = radius * np.stack([np.zeros(len(s)), np.sin(around), np.cos(around)], 1)
+    turn = np.minimum(1, np.arange(FRAMES) / 8)[:, None] * np.pi / 2
+    free = np.maximum(0, s - EXIT)
+    axis = np.stack([np.minimum(s, EXIT) + free * np.cos(turn), 0 * free * turn, -free * np.sin(turn)], -1)
+    turned = np.where(s > EXIT, turn, 0)
+    skin = np.stack([side[:, 2] * np.sin(turned), 0 * turned + side[:, 1], side[:, 2] * np.cos(turned)], -1)
+    lift = np.arange(FRAMES)[:, None, None] * np.array([0, 0, 0.012])
+    path = axis + skin + lift
+    corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), -1).reshape(-1, 3)
+    below = {"surface": axis[0] - skin[0]} if radius else {}
+    return tiny.filmed(path, [0.5 * EXIT, 0, 0] + 0.017 * corners + lift, **below)
+
+
+def tied(drawn):
+    return np.unique(drawn.system.springs[drawn.links].min(1))
+
+
+def test_a_hand_holds_of_a_rope_what_does_not_turn_away(tiny):
+    # nodes stand 19 mm apart and ties reach 30 mm: those beyond the hand would be tied too
+    drawn = build_replica(hanging(tiny), nodes=100)
+    assert drawn.system.chains
+    held = drawn.nodes[tied(drawn), 0]
+    assert len(held) > 1 and held.max() < EXIT + 0.002
+    assert (drawn.nodes[:, 0] < EXIT - 0.002).sum() == len(held) - 1
+
+
+def test_the_last_node_that_a_hand_holds_is_where_the_rope_leaves_it(tiny):
+    # in a twelfth of the distance between nodes, the grid on which that is looked for, a sixteenth
+    drawn = build_replica(hanging(tiny), nodes=100)
+    assert drawn.nodes[tied(drawn), 0].max() == pytest.approx(EXIT, abs=drawn.spacing / 12)
+
+
+def test_nodes_of_a_rope_are_on_its_axis_though_its_skin_is_seen_from_above(tiny):
+    # the middle of five points of the upper half of a circle is half of its radius above the axis; particles that are not tracked are below
+    radius = 0.005
+    drawn = build_replica(hanging(tiny, radius=radius), nodes=100)
+    assert drawn.system.chains
+    assert np.abs(drawn.nodes[:, 1:]).max() < radius / 5
+    rising = np.arange(FRAMES)[:, None] * 0.012
+    inside = drawn.nodes[:, 0] < EXIT - 0.01  # the hand
+    assert drawn.sightings.position[:, inside, 2] == pytest.approx(np.broadcast_to(rising, (FRAMES, inside.sum())), abs=radius / 5)
+
+
+def test_tracks_that_slip_do_not_make_a_rope_a_sheet(tiny, monkeypatch):
+    # what slips may be far from all that it lies beside, so that distances while it moves show no rope
+    true = replica.apart
+    monkeypatch.setattr(replica, "apart", lambda points, tracks=None: true(points) + (0 if tracks is None else 1.0))
+    assert build_replica(hanging(tiny), nodes=100).system.chains
 
 
 def test_a_hand_out_of_reach_holds_what_is_nearest(tiny):
