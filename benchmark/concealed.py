@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..datasets.concealed.make import Folder
 from ..datasets.concealed.seal import read_json, write_json
 from ..diagnosis.balance import TURNS
 from ..diagnosis.verdict import (
@@ -32,6 +33,7 @@ from ..diagnosis.verdict import (
     verdict_of,
 )
 from .challenge.answering import answer_case, each
+from .challenge.opening import opened_labels
 from .challenge.scores import of_the_ceiling
 from .challenge.truths import Row
 
@@ -163,11 +165,13 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
     """Weights that make the labels likely: one multinomial choice a case among its readings, "adequate" and "unknown"; ridge priors.
 
     Where the right reading explains next to nothing (``TELLS``, or it was never refitted), "unknown" is right too: what is asked of the
-    weights is to name what shows and to accuse no other.
+    weights is to name what shows and to accuse no other. Of two effects at once, and of one that moves a body by no more than a sound twin
+    is off by, nothing is learned.
     """
     from scipy.optimize import minimize
 
-    rows = [(*_evidence(r), truth(labels[k])) for k, r in sorted(results.items()) if k in labels and "evidence" in r]
+    taught = [k for k, r in sorted(results.items()) if k in labels and "evidence" in r and _teaches(labels[k])]
+    rows = [(*_evidence(results[k]), truth(labels[k])) for k in taught]
     null, usual = _null(rows), _usual(rows)
     terms = sorted({r.key for found, _, _ in rows for r in found})
     unknowns = [("weight", name) for name in (*FEATURES, *SEEN)] + [("bias", term) for term in terms]
@@ -198,6 +202,11 @@ def calibrate(results: dict[str, dict], labels: dict[str, dict], *, source: str 
 
     found = minimize(cost, np.zeros(len(unknowns)), jac=True, method="L-BFGS-B", bounds=[_bounds(*unknown) for unknown in unknowns])
     return replace(told(np.round(found.x, 4)), source=source)
+
+
+def _teaches(label: dict) -> bool:
+    """Whether a case says what evidence means; sealed sets have a ``level``, the size of an effect over what a sound twin is off by."""
+    return label["kind"] != "pair" and not (label["kind"] == "effect" and (label.get("level") or np.inf) <= 1)
 
 
 def _ridge(of: str, name: str) -> float:
@@ -341,7 +350,7 @@ def by_effect(results: dict[str, dict], labels: dict[str, dict]) -> str:
 
 
 def thresholds(
-    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.03, seeds: Sequence[int] = (0, 1, 2)
+    results: dict[str, dict], labels: dict[str, dict], *, alarms: float = 0.04, seeds: Sequence[int] = (0, 1, 2)
 ) -> tuple[float, float, dict[str, float]]:
     """Least probabilities (named, both, and sure by kind of body), from cross-validations by ``seeds``.
 
@@ -382,8 +391,8 @@ def study(
 ) -> tuple[dict, dict, dict]:
     """Answers, labels and scores of folders of cases; scores.json, cases.md and, ``calibrating``, calibration.json go into ``out``.
 
-    ``ceiling``: whoever is told answers too.
-    Where there are several folders, cases bear their names too. Raises ValueError where two are called alike, or one has no labels.
+    ``ceiling``: whoever is told answers too. A sealed set that was opened is a folder of cases too. Where there are several folders, cases
+    bear their names too. Raises ValueError where two are called alike, or one has no labels.
     """
     if not folders:
         raise ValueError("no folder of cases is named")
@@ -391,14 +400,12 @@ def study(
         raise ValueError(f"folders of cases must have different names, got {', '.join(map(str, folders))}")
     results, labels, told, how = {}, {}, {}, {"preset": preset, "device": device, "jobs": jobs}
     for data in folders:
-        file, own = data / LABELS, f"{data.name}/" if len(folders) > 1 else ""
-        if not file.is_file():
-            raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
-        known = read_json(file)
+        own = f"{data.name}/" if len(folders) > 1 else ""
+        cases, known = _labelled(data)
         labels |= {own + name: label for name, label in known.items()}
-        results |= {own + name: found for name, found in answers(data, out / own, **how).items()}
+        results |= {own + name: found for name, found in answers(cases, out / own, **how).items()}
         if ceiling:
-            told |= {own + name: found for name, found in ceilings(data, out / own, known, **how).items()}
+            told |= {own + name: found for name, found in ceilings(cases, out / own, known, **how).items()}
     if calibrating:
         fitted = calibrate(results, labels, source=f"{len(results)} cases of {' and '.join(data.name for data in folders)}")
         named, both, sure = thresholds(results, labels)
@@ -409,6 +416,15 @@ def study(
     (out / "scores.json").write_text(json.dumps(scored, indent=1) + "\n")
     (out / "cases.md").write_text(by_effect(results, labels) + "\n\n" + markdown(results, labels) + "\n")
     return results, labels, scored
+
+
+def _labelled(data: Path) -> tuple[Path, dict[str, dict]]:
+    """Where the cases of ``data`` are, and their labels: of a folder of cases, or of a sealed set that was opened."""
+    if Folder(data).manifest.is_file():
+        return Folder(data).cases, opened_labels(Folder(data))
+    if not (data / LABELS).is_file():
+        raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
+    return data, read_json(data / LABELS)
 
 
 def _again(result, c):
