@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from twinbench.benchmark.challenge import answering, opening, scoring
 from twinbench.benchmark.challenge.answering import answer_set, take_answers
-from twinbench.benchmark.challenge.opening import open_set
+from twinbench.benchmark.challenge.opening import open_set, opened_labels
 from twinbench.benchmark.challenge.rivals.base import Rival, answer
 from twinbench.benchmark.challenge.scoring import score_set
 from twinbench.benchmark.cli import main
+from twinbench.benchmark.concealed import study
 from twinbench.datasets import safe_pickle
 from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
@@ -25,7 +26,7 @@ from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
 from twinbench.datasets.concealed.engines import ENGINES, able
 from twinbench.datasets.concealed.make import Folder, make
 from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, plan
-from twinbench.datasets.concealed.seal import Ledger, canonical, digest, folder_digest, salt_of, sealed, seed_of
+from twinbench.datasets.concealed.seal import Ledger, canonical, digest, folder_digest, read_json, salt_of, sealed, seed_of, write_json
 from twinbench.datasets.scenario import Scenario, Split
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -574,6 +575,19 @@ def test_what_is_changed_after_the_opening_is_not_scored(challenge):
     spoil(challenge.root / "opened" / "labels.json", lambda v: v["case_001"]["label"].update(kind="control", effect=None))
     with pytest.raises(ValueError, match="is not what was published: its hash differs"):
         score_set(challenge.root)
+
+
+def test_an_opened_set_is_a_folder_of_cases_and_a_sealed_one_is_not(challenge, tmp_path):
+    out, how = tmp_path / "out", dict(preset="quick", device="cpu", jobs=1)
+    with pytest.raises(ValueError, match="is still sealed"):
+        study([challenge.root], out, **how)
+    answer_set(challenge.root, names=("guess",))
+    open_set(challenge.root)
+    for name in challenge.published()["cases"]:  # answers that are there are kept
+        write_json(out / name / "diagnosis.json", read_json(challenge.root / "answers" / "guess" / f"{name}.json"))
+    results, labels, scored = study([challenge.root], out, **how)
+    assert labels == opened_labels(challenge) and len(results) == 24
+    assert scored["alarms"] == 0 and scored["controls"] == 12  # the guess never errs on controls
 
 
 def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):

@@ -172,6 +172,17 @@ def test_a_calibration_names_what_gains():
         assert again["probabilities"] == pytest.approx(decide(*evidence(result), c).probabilities)
 
 
+def test_nothing_is_learned_of_two_effects_at_once_nor_of_one_below_what_a_sound_twin_is_off_by():
+    results, labels = separable()
+    small = {f"small{k}": v for k, v in enumerate(made_up(6, "effect", effect="bending", gains={"wind": 3.0, "bending": 0.0}).values())}
+    both = made_up(6, "pair", effect="bending+wind", gains={"wind": 3.0, "bending": 0.0})
+    more, named = split(small | both)
+    named |= {k: {**v, "level": 1.0} for k, v in named.items() if v["kind"] == "effect"}
+    before = calibrate(results, labels)
+    assert calibrate(results | more, labels | named) == before
+    assert calibrate(results | more, labels | {k: {**v, "level": 2.0} for k, v in named.items()}) != before
+
+
 def evidence(result):
     from twinbench.diagnosis.verdict import Reading
 
