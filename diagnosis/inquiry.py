@@ -12,7 +12,7 @@ from ..datasets.scenario import Observed
 from ..physics.terms.residual_field import ResidualField
 from .balance import Balance, balance
 from .baseline import baseline_model, first_fit, steady
-from .fit import FINEST, LOST, Fit, Task, mean_error
+from .fit import FINEST, LOST, Fit, Task, fit, mean_error
 from .hypotheses import FOLLOWED, Hypothesis, hypotheses_for
 from .locate import missing_acceleration
 from .model import JUDGED, Knob, Model, Simulator
@@ -168,7 +168,7 @@ def inquire(
     steps = preset.steps * (FIXED if fitted_on and replicas[0].solid else 1)
     start = _firm(found) if fitted_on else first_fit(task, model, iterations=preset.first)
     wide = Task(simulators[: 1 + len(transfer)], [s.replica.frames for s in simulators[: 1 + len(transfer)]], BANDWIDTH, finest)
-    base = refit(task, start, [], iterations=PATIENT * steps, spacing=replicas[0].spacing)[0]
+    base = fit(task, start.model, start.z, iterations=PATIENT * steps)
     watched = [wide.predict(base.model, [base.z])[k][0] for k in range(len(wide.simulators))]
     push = [missing_acceleration(s.replica, x, BANDWIDTH) for s, x in zip(wide.simulators, watched, strict=True)]
 
