@@ -420,8 +420,9 @@ def study(
 
 def _labelled(data: Path) -> tuple[Path, dict[str, dict]]:
     """Where the cases of ``data`` are, and their labels: of a folder of cases, or of a sealed set that was opened."""
-    if Folder(data).manifest.is_file():
-        return Folder(data).cases, opened_labels(Folder(data))
+    folder = Folder(data)
+    if folder.manifest.is_file():
+        return folder.cases, opened_labels(folder)
     if not (data / LABELS).is_file():
         raise ValueError(f"{data}: no {LABELS} here; write cases with python -m twinbench.datasets.concealed --out {data}")
     return data, read_json(data / LABELS)

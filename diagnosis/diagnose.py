@@ -211,7 +211,7 @@ def _where(inquiry, chosen, change):
 
 def _worst_grip(replica, change):
     """Nodes held by the hand around which the ``change`` (F, n) by the extension is largest."""
-    from .replica import fists
+    from .hands import fists
 
     ties = replica.system.springs[replica.links]
     if not len(ties):

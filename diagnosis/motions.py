@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .replica import Replica, fists
+from .hands import fists
+from .replica import Replica
 
 __all__ = ["Motion", "Setting", "motions"]
 

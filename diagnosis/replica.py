@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -11,27 +10,20 @@ from ..datasets.scenario import Observed
 from ..methods.registration import rigid_transform
 from ..physics.hinges import natural_curvature
 from ..physics.system import System
-from ..physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
+from ..physics.topology import object_springs, rope_hinges, sheet_hinges
+from .hands import hand_ties, rope_exits
 from .matching import material_coordinates
 from .ropes import apart, marked_chains, rope_chains
-from .sightings import Sightings, sight_markers, sight_nodes, where_unseen
+from .sightings import Sightings, middles, sight_markers, sight_nodes
 from .skins import facets_of
 
 __all__ = ["Replica", "build_replica", "spread_out"]
 
 REACH = 2.3  # connection radius in node spacings: first and second neighbours of a sheet
 MOST = 26  # springs looked for at a node, itself included
-GRIP_REACH = 1.6  # how far a hand point holds nodes, in node spacings
-GRIP_MOST = 4
 ROW = 12  # nodes that a rope must at least show
 LONGEST = 33  # nodes of a rope that is no row of markers: closer ones lie on its skin, here and there, and are off by three times as much
 THINNER = 1.3  # step of trying fewer nodes
-CARRIED = 0.25  # share of its way by which what a hand carries may stay behind
-IN_HAND = 0.007  # m: what a node of a rope strays at most from where its hand would carry it
-WHILE = 1.0  # s since a hand set off, in which that is looked at
-EXIT = 0.6  # of the way to the next node, either way, within which a rope may leave a hand from the last node that is held
-SET_OFF = (0.008, 0.06)  # m: a hand's way while one sees what it carries
-FIST = 0.05  # m, between points of one hand
 LOWEST = 0.05  # share of the nodes that may be lower than what lies on the ground; of a rope, whose nodes all lie alike, half
 LYING = 0.6  # node spacings: what is higher does not lie
 CELLS = 20000  # of a grid by which volumes are told
@@ -144,10 +136,9 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
     body = like and _laid(recording, like, held, fitted)
     body = body or _drawn(recording, nodes, like, held, fitted)
     hands = np.flatnonzero(recording.grips < 0)
-    early = replace(body.sightings, position=body.sightings.position[:fitted])
-    ties = hand_ties(recording, body.positions, early, body.spacing, hands, rope=bool(body.chains))
+    ties = hand_ties(recording, body.positions, body.sightings.position[:fitted], body.spacing, hands, rope=bool(body.chains))
     if body.chains and len(ties) and not len(held):
-        body = _ending_in_hands(recording, body, ties, fitted)
+        body = _ending_in_hands(recording, body, ties, like, fitted)
     positions, sightings, own = body.positions, body.sightings, body.spacing
     early = replace(sightings, position=sightings.position[:fitted])
     grips = np.full(len(recording.grips), -1)
@@ -197,16 +188,14 @@ def _drawn(recording, nodes, like, held, fitted) -> _Body:
     positions[: len(held)] = structure[held]  # a driven marker is where it is
     own = like.spacing if like else _spacing(positions)
     springs = _joined(positions, object_springs(positions, radius=REACH * own, max_neighbours=MOST))
-    home = _home(recording, positions, like)
-    found = marked[1] if marked else rope_chains(apart(positions, sightings.position[:fitted])) or rope_chains(apart(structure[chosen]))
-    chains = _alike(found, home, like)
+    chains = marked[1] if marked else rope_chains(apart(positions, sightings.position[:fitted])) or rope_chains(apart(structure[chosen]))
     if chains:
         springs = _along(springs, chains)
-        if not marked:
-            positions = _on_axis(positions, structure)
-            positions, sightings = sight_nodes(recording.points, recording.visible, positions, fitted=fitted, keep=True)
-            positions[: len(held)] = structure[held]
-            home = _home(recording, positions, like)
+    if chains and not marked:  # from the side of its skin that is seen to its axis
+        positions, sightings = sight_nodes(recording.points, recording.visible, middles(positions, structure)[0], fitted=fitted, keep=True)
+        positions[: len(held)] = structure[held]
+    home = _home(recording, positions, like)
+    chains = _alike(chains, home, like)
     hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, springs)
     facets = None if chains else facets_of(recording, positions, springs, own)
     masses = _masses(recording, positions, len(held), chains if marked else ())
@@ -228,6 +217,13 @@ def _laid(recording, like: Replica, held, fitted) -> _Body | None:
     positions[: len(held)] = structure[held]
     springs = known.springs[~like.links]
     return _Body(positions, sightings, like.spacing, springs, (), known.hinges, known.facets, known.masses, like.nodes)
+
+
+def _ending_in_hands(recording, body: _Body, ties, like, fitted) -> _Body:
+    """The rope with the last node that a hand holds moved to where the rope leaves the hand."""
+    positions = rope_exits(recording, body.positions, body.sightings.position[:fitted], body.chains, ties)
+    sightings = sight_nodes(recording.points, recording.visible, positions, fitted=fitted, keep=True)[1]
+    return replace(body, positions=positions, sightings=sightings, home=body.home if like else positions)
 
 
 def _masses(recording, positions, held, chains):
@@ -281,107 +277,6 @@ def _lift(recording, positions, spacing, share):
     return low if 0 < low < LYING * spacing else 0.0
 
 
-def hand_ties(recording, positions, sightings, spacing, hands, *, rope: bool = False) -> np.ndarray:
-    """(L, 2) springs between nodes and hand points: within reach of each other in frame 0, and at first carried along by that hand.
-
-    Of a ``rope`` only what is in the hand: a node beyond where it leaves the hand, if that held it too, would keep it from turning there.
-    """
-    from scipy.spatial import cKDTree
-
-    ties = controller_springs(recording.controllers[0, hands], positions, radius=GRIP_REACH * spacing, max_neighbours=GRIP_MOST).astype(int)
-    if not len(hands):
-        return np.zeros((0, 2), int)
-    if not len(ties):
-        near = cKDTree(positions).query(recording.controllers[0, hands])[1]
-        ties = np.stack([np.arange(len(hands)), near], 1)
-    fist = fists(recording.controllers[0, hands])
-    kept = np.ones(len(ties), bool)
-    for label in np.unique(fist):
-        mine = np.flatnonzero(fist[ties[:, 0]] == label)
-        nodes = np.unique(ties[mine, 1])
-        hand = recording.controllers[:, hands[fist == label]]
-        seen = sightings.position
-        strays = _strays(hand, seen[:, nodes], positions[nodes])
-        held = nodes[strays <= max(CARRIED, np.sort(strays)[:2].max())]
-        if rope:
-            held = held[_in_hand(hand, seen[:, held], positions[held], recording.fps)]
-        kept[mine] = np.isin(ties[mine, 1], held)
-    ties = ties[kept]
-    ties[:, 0] = len(positions) + hands[ties[:, 0]]
-    return ties
-
-
-def fists(points):
-    """(C,) which hand each of ``points`` (C, 3) belongs to: points of one are within FIST of one another, link by link."""
-    from scipy.cluster.hierarchy import fcluster, linkage
-
-    return fcluster(linkage(points), FIST, "distance") if len(points) > 1 else np.ones(len(points), int)
-
-
-def _strays(hand, seen, start):
-    """(n,) how far nodes at ``start`` (n, 3), ``seen`` (T, n, 3), stay behind a hand (T, C, 3) while it first moves, over its way."""
-    way = np.linalg.norm(hand - hand[0], axis=-1).mean(1)
-    moving = np.flatnonzero((way > SET_OFF[0]) & (np.arange(len(way)) < (np.argmax(way > SET_OFF[1]) or len(way))))
-    moving = moving[moving < len(seen)]
-    shares = []
-    for k in moving[:12]:
-        rotation, shift = rigid_transform(hand[0], hand[k])
-        shares.append(np.linalg.norm(seen[k] - start @ rotation.T - shift, axis=1) / way[k])
-    if not shares:
-        return np.zeros(len(start))
-    with where_unseen():
-        stray = np.nanmedian(shares, axis=0)
-    return np.where(np.isfinite(stray), stray, 0.0)
-
-
-def _in_hand(hand, seen, start, fps):
-    """(n,) bool: which nodes of a rope at ``start`` (n, 3), ``seen`` (T, n, 3), a hand (T, C, 3) holds; two at least: it turns them.
-
-    A node that was not seen is in the hand if it is no farther from the middle of the hand's points than these are.
-    """
-    moves = _setting_off(hand, len(seen), fps)
-    carried = np.array([start @ rotation.T + shift for rotation, shift in moves.values()])
-    with where_unseen():
-        stray = np.nanmedian(np.linalg.norm(seen[list(moves)] - carried, axis=-1), axis=0) / IN_HAND
-    middle = hand[0].mean(0)
-    radius = np.sqrt(np.mean(np.sum((hand[0] - middle) ** 2, axis=1)))
-    far = np.linalg.norm(start - middle, axis=1)
-    beyond = np.where(np.isfinite(stray), stray, far / max(radius, far.min()))
-    return beyond <= max(1.0, np.sort(beyond)[:2].max())
-
-
-def _setting_off(hand, frames, fps):
-    """By frame of the first ``WHILE`` in which a hand (T, C, 3) moves, of so many ``frames``: its rotation and shift since frame 0."""
-    way = np.linalg.norm(hand - hand[0], axis=-1).mean(1)[:frames]
-    begun = int(np.argmax(way > SET_OFF[0]))
-    return {k: rigid_transform(hand[0], hand[k]) for k in range(begun, min(len(way), begun + round(WHILE * fps)))}
-
-
-def _ending_in_hands(recording, body: _Body, ties, fitted) -> _Body:
-    """The rope with the last node that a hand holds moved to where the rope leaves the hand.
-
-    That is the point from which the first free node keeps its distance along the rope, however the rope turns there.
-    """
-    positions, seen = body.positions.copy(), body.sightings.position[:fitted]
-    fist = fists(recording.controllers[0])
-    holder = dict(zip(ties[:, 1].tolist(), fist[ties[:, 0] - len(positions)].tolist(), strict=True))
-    steps = [step for chain in body.chains for step in (*pairwise(chain.tolist()), *pairwise(chain[::-1].tolist()))]
-    for last, free in steps:
-        if last not in holder or free in holder:
-            continue
-        moves = _setting_off(recording.controllers[:, fist == holder[last]], len(seen), recording.fps)
-        step = body.positions[free] - body.positions[last]
-        share = np.linspace(-EXIT, EXIT, 21)
-        exits = body.positions[last] + share[:, None] * step
-        carried = np.array([exits @ rotation.T + shift for rotation, shift in moves.values()])
-        stretch = np.linalg.norm(seen[list(moves), free][:, None] - carried, axis=-1) - (1 - share) * np.linalg.norm(step)
-        if np.isfinite(stretch).any():
-            positions[last] = exits[np.nanmean(stretch**2, axis=0).argmin()]
-    sightings = sight_nodes(recording.points, recording.visible, positions, fitted=fitted, keep=True)[1]
-    home = positions if np.array_equal(body.home, body.positions) else body.home
-    return replace(body, positions=positions, sightings=sightings, home=home)
-
-
 def _marked_rope(recording, nodes, held, fitted):
     """(tracked points, held ones first; chains of them) where they are at most ``nodes`` markers along a rope that is held; else None."""
     count = recording.counts[0]
@@ -419,16 +314,6 @@ def _along(springs, chains):
     steps = np.concatenate([np.stack([c[:-1], c[1:]], 1) for c in chains])
     both = np.concatenate([np.sort(springs, axis=1), np.sort(steps, axis=1)])
     return np.unique(both, axis=0)
-
-
-def _on_axis(positions, structure):
-    """Nodes of a rope moved to the middle of the particles around them: from the side of its skin that is seen to its axis."""
-    from scipy.spatial import cKDTree
-
-    owner = cKDTree(positions).query(structure)[1]
-    count = np.bincount(owner, minlength=len(positions))[:, None]
-    middle = np.stack([np.bincount(owner, axis, len(positions)) for axis in structure.T], 1) / np.maximum(1, count)
-    return np.where(count > 0, middle, positions)
 
 
 def _home(recording, positions, like):

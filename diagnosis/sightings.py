@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Sightings", "noise_of", "sight_markers", "sight_nodes"]
+__all__ = ["Sightings", "middles", "noise_of", "sight_markers", "sight_nodes"]
 
 NEIGHBOURS = 12  # tracks that share a rigid motion from frame 0
 OUTLIER = 4.0  # robust standard deviations from the shared motion
@@ -84,12 +84,8 @@ def sight_nodes(points, visible, nodes, *, fitted: int | None = None, keep: bool
     usable = np.flatnonzero(visible[0])
     nodes = np.array(nodes, float)
     home = points[0, usable]
-    owner = cKDTree(nodes).query(home)[1]
-    middle = np.stack([np.bincount(owner, home[:, c], len(nodes)) for c in range(3)], 1)
-    number = np.bincount(owner, minlength=len(nodes))
-    seen_nodes = number > 0
-    if not keep:
-        nodes[seen_nodes] = middle[seen_nodes] / number[seen_nodes, None]
+    middle, owner = middles(nodes, home)
+    nodes = nodes if keep else middle
     track = np.where(visible[:, usable, None], points[:, usable], np.nan)
     k = min(NEIGHBOURS, len(usable))
     near = np.atleast_2d(cKDTree(home).query(home, k=k)[1].reshape(len(usable), -1))
@@ -114,6 +110,16 @@ def sight_nodes(points, visible, nodes, *, fitted: int | None = None, keep: bool
     noise = noise_of(position[:fitted])
     slide = slide_of(np.where(visible[:, usable, None], points[:, usable], np.nan), near)
     return nodes, Sightings(position, held, noise, misfit, wrong, slide)
+
+
+def middles(nodes: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``nodes`` (n, 3), each in the middle of those of ``points`` (M, 3) that it is nearest to, if any; and (M,) these nearest nodes."""
+    from scipy.spatial import cKDTree
+
+    owner = cKDTree(nodes).query(points)[1]
+    number = np.bincount(owner, minlength=len(nodes))[:, None]
+    total = np.stack([np.bincount(owner, axis, len(nodes)) for axis in points.T], 1)
+    return np.where(number > 0, total / np.maximum(1, number), nodes), owner
 
 
 def slide_of(track, near) -> float:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from twinbench.datasets.scenario import Plane
 from twinbench.diagnosis import replica
+from twinbench.diagnosis.hands import fists, hand_ties
 from twinbench.diagnosis.model import Simulator
-from twinbench.diagnosis.replica import build_replica, fists, hand_ties
-from twinbench.diagnosis.sightings import Sightings
+from twinbench.diagnosis.replica import build_replica
 from twinbench.physics.terms import Ground
 
 FRAMES, FPS = 24, 30.0
@@ -63,8 +63,7 @@ def pulled(tiny, *, behind=(), since=0):
     recording = tiny.filmed(path, points[None, :3] + [0, 0, 0.01] + way)
 
     def tied(fitted=FRAMES):
-        seen = Sightings(path[:fitted], np.ones((fitted, 30), int), 0.0, np.zeros(30), np.zeros(30, bool))
-        return set(hand_ties(recording, points, seen, 0.03, np.arange(3))[:, 1].tolist())
+        return set(hand_ties(recording, points, path[:fitted], 0.03, np.arange(3))[:, 1].tolist())
 
     return tied
 
@@ -94,9 +93,9 @@ def hanging(tiny, *, radius=0.0):
     side = radius * np.stack([np.zeros(len(s)), np.sin(around), np.cos(around)], 1)
     turn = np.minimum(1, np.arange(FRAMES) / 8)[:, None] * np.pi / 2
     free = np.maximum(0, s - EXIT)
-    axis = np.stack([np.minimum(s, EXIT) + free * np.cos(turn), 0 * free * turn, -free * np.sin(turn)], -1)
+    axis = np.stack([np.minimum(s, EXIT) + free * np.cos(turn), np.zeros((FRAMES, len(s))), -free * np.sin(turn)], -1)
     turned = np.where(s > EXIT, turn, 0)
-    skin = np.stack([side[:, 2] * np.sin(turned), 0 * turned + side[:, 1], side[:, 2] * np.cos(turned)], -1)
+    skin = np.stack([side[:, 2] * np.sin(turned), np.tile(side[:, 1], (FRAMES, 1)), side[:, 2] * np.cos(turned)], -1)
     lift = np.arange(FRAMES)[:, None, None] * np.array([0, 0, 0.012])
     path = axis + skin + lift
     corners = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), -1).reshape(-1, 3)
