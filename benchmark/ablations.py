@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from ..datasets.collection import Collection
+from ..methods.appearance.config import Quirks
 from ..methods.base import Method
 from ..methods.registry import methods
 from ..methods.variants import Variant, quirks
@@ -17,6 +18,7 @@ __all__ = ["ABLATIONS", "Ablation", "with_clips"]
 IN_DOMAIN = ("resimulation", "prediction")
 CLIPS = (1, 2, 5, 10, 30)  # published: 30 clips for the graph network, one for PhysTwin
 CAMERAS = (1, 2, 3)
+IMAGES = tuple(f"{name}{which}" for which in ("", "_corrected") for name in ("iou", "psnr", "ssim", "lpips"))
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,7 @@ class Ablation:
     says        one line on what it asks
     compared    names of methods, and variants of methods
     quirks_of   a method with ``quirks``: it is compared with itself with each of them, and no other, as published
+    looks_of    a method: its twins are shown with the corrected appearance, with each quirk of the published one, and with all
     tracker     the recording's own tracks are scored as well, as a yardstick
     tasks       in which; () means all
     metrics     by which; () means all
@@ -35,6 +38,7 @@ class Ablation:
     says: str
     compared: tuple[str | Variant, ...] = ()
     quirks_of: str = ""
+    looks_of: str = ""
     tracker: bool = False
     tasks: tuple[str, ...] = IN_DOMAIN
     metrics: tuple[str, ...] = ()
@@ -49,6 +53,9 @@ class Ablation:
             found[self.quirks_of] = methods()[self.quirks_of]
             for name in quirks(self.quirks_of):
                 found[name] = Variant(name, self.quirks_of, {f"quirks.{name}": True})
+        if self.looks_of:
+            looks = ("corrected", *Quirks.__dataclass_fields__, "as-published")
+            found |= {look: Variant(look, self.looks_of, look=look) for look in looks}
         if self.tracker:
             found[Tracker.name] = Tracker
         return found
@@ -83,6 +90,9 @@ ABLATIONS = {
     "quirks": Ablation("PhysTwin with one quirk of the reference implementation at a time", quirks_of="phystwin", tasks=()),
     "gs-dynamics-quirks": Ablation("GS-Dynamics with one quirk of the published code at a time", quirks_of="gs-dynamics"),
     "spring-gaus-quirks": Ablation("Spring-Gaus with one quirk of the augmented reference at a time", quirks_of="spring-gaus"),
+    "appearance-quirks": Ablation(
+        "PhysTwin's twins shown with one quirk of the published appearance at a time, and with all", looks_of="phystwin", metrics=IMAGES
+    ),
     "clips": Ablation(
         "a graph network trained on more recordings of the object, where PhysTwin has one", ("phystwin", *_clips("gs-dynamics"))
     ),

@@ -54,7 +54,7 @@ class Player(Runner):
             self._refuse(method, [*self._held, target])
             twin, about = self._twin(method, fit, self._fit_key(fit), progress)
             trajectory, _ = self._roll_out(twin, about, target, evaluation.task == "transfer")
-            return self._shown(trajectory, evaluation.target, progress)
+            return self._shown(trajectory, evaluation.target, method.appearance, progress)
         except Stopped as stopped:
             raise ValueError(f"{fit.method} has no roll-out of {evaluation.target}: {stopped.row['reason']}") from stopped
 

@@ -1,14 +1,15 @@
-"""What cameras would see of a roll-out: one appearance per recording, whatever the method, and roll-outs that can be looked at."""
+"""What cameras would see of a roll-out: one appearance per recording and set of quirks, and roll-outs that can be looked at."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from ..datasets.scenario import Camera, Images, Scenario
+from ..methods.appearance.config import Quirks, quirks_named
 from ..methods.base import Trajectory
 from ..metrics.base import Unscorable
 from .cache import Cache, digest
@@ -16,7 +17,7 @@ from .checksum import code
 
 __all__ = ["Appearances", "Recent", "Shown", "appearance_class"]
 
-SEED = 0  # the appearance is the recording's, not a method's: all seeds of a run share it
+SEED = 0  # the appearance is the recording's, not a twin's: all seeds of a run share it
 
 
 def appearance_class() -> type:
@@ -27,34 +28,36 @@ def appearance_class() -> type:
 
 
 class Appearances:
-    """The appearance of each recording in frame 0, fitted once by the views of that frame, and kept in the cache.
+    """The appearance of each recording in frame 0, fitted once by the views of that frame for each set of quirks, and kept in the cache.
 
-    As in PhysTwin's evaluation (arXiv 2503.17973, section 5) every method's roll-out moves the same appearance of the recording it is
-    scored on, a transfer's the target's. ``kind()`` is its class: ``fit``, ``load``, ``save`` and ``animate`` as in ``methods/appearance``.
+    As in PhysTwin's evaluation (arXiv 2503.17973, section 5) roll-outs of all methods that are shown alike move the same appearance of the
+    recording they are scored on, a transfer's the target's. ``kind()`` is its class: ``fit``, ``load``, ``save`` and ``animate`` as in
+    ``methods/appearance``.
     """
 
     def __init__(self, cache: Cache, *, preset: str, device: str, kind: Callable[[], type] = appearance_class):
         self._cache, self._preset, self._device, self._kind = cache, preset, device, kind
-        self._last: tuple[str, object] = ("", None)
+        self._last: dict[str, tuple[str, object]] = {}
 
-    def of(self, scenario: Scenario, checksums: tuple[str, str], progress: Callable[[str, float], None]):
-        """The appearance of ``scenario``; ``checksums`` are those of its arrays and of its images.
+    def of(self, scenario: Scenario, checksums: tuple[str, str], look: str, progress: Callable[[str, float], None]):
+        """The appearance of ``scenario`` with the quirks that ``look`` names; ``checksums`` are those of its arrays and of its images.
 
         Raises Unscorable where it can have none, and whatever else stops a fit.
         """
-        key = digest("appearance", checksums, code("methods/appearance"), SEED, self._preset, self._device)
-        if self._last[0] != key:
+        quirks = quirks_named(look)
+        key = digest("appearance", checksums, code("methods/appearance"), SEED, self._preset, self._device, asdict(quirks))
+        if self._last.get(look, ("",))[0] != key:
             try:
-                self._last = (key, self._read(key) or self._fit(scenario, key, progress))
+                self._last[look] = (key, self._read(key) or self._fit(scenario, key, quirks, progress))
             except ValueError as error:
-                self._last = (key, Unscorable(f"the recording has no appearance: {error}"))
-        found = self._last[1]
+                self._last[look] = (key, Unscorable(f"the recording has no appearance: {error}"))
+        found = self._last[look][1]
         if isinstance(found, Unscorable):
             raise Unscorable(str(found))
         return found
 
-    def _fit(self, scenario: Scenario, key: str, progress):
-        options = {"preset": self._preset, "seed": SEED, "device": self._device, "progress": progress}
+    def _fit(self, scenario: Scenario, key: str, quirks: Quirks, progress):
+        options = {"preset": self._preset, "seed": SEED, "device": self._device, "progress": progress, "quirks": quirks}
         fitted = self._kind().fit(scenario.initial(), **options)
         self._cache.write_folder("appearances", key, fitted.save, {})
         return self._read(key) or fitted

@@ -50,9 +50,9 @@ class Runner:
     """Computes the rows of one collection.
 
     A twin is stored under its method and that method's code, the content of its sources, seed, preset and device; a row under its twin,
-    the content of its target, the task and the metrics' code. Rows and twins that are there are not computed again. Failed rows
-    are not stored: what made them fail (memory, a missing package) may be gone the next time. Nor are rows that lack images for such
-    a cause.
+    the content of its target, the task, the metrics' code and its appearance. Rows and twins that are there are not computed again.
+    Failed rows are not stored: what made them fail (memory, a missing package) may be gone the next time. Nor are rows that lack images
+    for such a cause.
     """
 
     def __init__(self, opened: Opened, settings: Settings, cache: Cache):
@@ -90,13 +90,13 @@ class Runner:
             skipped = self._row({"status": "skipped", "reason": fit.skip}, {})
             return [{**self._identity(fit, evaluation), **skipped} for evaluation in fit.evaluations]
         fit_key = self._fit_key(fit)
-        keys = {evaluation: self._row_key(fit_key, evaluation) for evaluation in fit.evaluations}
+        keys = {evaluation: self._row_key(fit, fit_key, evaluation) for evaluation in fit.evaluations}
         found = {evaluation: self.cache.read("rows", key) for evaluation, key in keys.items()}
         missing = [evaluation for evaluation, row in found.items() if row is None]
         for evaluation, row in self._compute(fit, fit_key, missing, report) if missing else ():
             found[evaluation] = row
             if row["status"] != "failed" and evaluation not in self._unseen:
-                self.cache.write("rows", self._row_key(fit_key, evaluation), row)  # a metric may have turned out to be unavailable
+                self.cache.write("rows", self._row_key(fit, fit_key, evaluation), row)  # a metric may have turned out to be unavailable
         return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
 
     def _compute(self, fit: Fit, fit_key: str, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
@@ -190,7 +190,7 @@ class Runner:
             except Stopped as stopped:
                 yield from ((evaluation, self._row(stopped.row, about)) for evaluation in wanted)
                 continue
-            shown = self._shown(trajectory, wanted[0].target, report)
+            shown = self._shown(trajectory, wanted[0].target, method.appearance, report)
             for evaluation in wanted:
                 self._unseen.discard(evaluation)
                 row = self._row(self._score(shown, target, evaluation.task), about)
@@ -209,13 +209,14 @@ class Runner:
         peaks = {name: max(value, about[name]) for name, value in peak_memory().items()}
         return trajectory, {**about, **peaks, "rollout_seconds": time.perf_counter() - start}
 
-    def _shown(self, trajectory: Trajectory, target: str, report: Progress) -> Shown:
-        """The roll-out with the appearance of the recording ``target``, which is fitted when a metric first asks for an image."""
+    def _shown(self, trajectory: Trajectory, target: str, look: str, report: Progress) -> Shown:
+        """The roll-out with the appearance ``look`` of the recording ``target``, which is fitted when a metric first asks for an image."""
 
         def appearance():
             self._checksums.learn([target], self._load, images=True)
             checksums = self._checksums[target], self._checksums.images(target)
-            return self._appearances.of(self._load(target), checksums, lambda stage, _: report(f"appearance of {target}: {stage}", 1.0))
+            told = f"appearance of {target}"
+            return self._appearances.of(self._load(target), checksums, look, lambda stage, _: report(f"{told}: {stage}", 1.0))
 
         return Shown.of(trajectory, appearance)
 
@@ -255,6 +256,7 @@ class Runner:
             "seed": fit.seed,
             "preset": self.settings.preset,
             "split": self.split,
+            "appearance": self._look(fit, evaluation),
             "data_checksum": self._checksums[evaluation.target],
             "code_checksum": method_code(self.settings.methods[fit.method]),
         }
@@ -266,12 +268,18 @@ class Runner:
         sources = [[self._checksums[name], *([self._checksums.observed(name, kinds)] if kinds else [])] for name in fit.sources]
         return digest(getattr(found, "key", fit.method), method_code(found), sources, fit.seed, self.settings.preset, self.settings.device)
 
-    def _row_key(self, fit_key: str, evaluation: Evaluation) -> str:
+    def _look(self, fit: Fit, evaluation: Evaluation) -> str:
+        """Which appearance the twin is shown with; "" where no metric looks at images or there are none."""
+        seen = self.settings.images and self._checksums.images(evaluation.target)
+        return getattr(self._found(fit.method), "appearance", Method.appearance) if seen else ""
+
+    def _row_key(self, fit: Fit, fit_key: str, evaluation: Evaluation) -> str:
         images = self._checksums.images(evaluation.target) if self.settings.images else ""
         wanted = {name: metric for name, metric in self.settings.metrics.items() if images or not metric.images}
         available = [name for name, metric in wanted.items() if metric.unavailable() is None]  # not asked where there are no images
         metrics = [(name, metric.version, name in available) for name, metric in self.settings.metrics.items()]
-        return digest(fit_key, evaluation.task, self._checksums[evaluation.target], images, metrics, code("metrics", "methods/appearance"))
+        shown = [images, self._look(fit, evaluation)]
+        return digest(fit_key, evaluation.task, self._checksums[evaluation.target], shown, metrics, code("metrics", "methods/appearance"))
 
     def _load(self, name: str) -> Scenario:
         scenario = self._loaded.get(name)

@@ -125,8 +125,8 @@ def _published(results: Results, collection: str, task: str) -> list[Line]:
 
 
 def notes(results: Results) -> list[str]:
-    """One sentence for every twin of which its method says something, for every group of rows that have no score, and for every cause
-    of values that are missing in the others.
+    """One sentence for every twin of which its method says something, for every group of rows that have no score, for every cause of
+    values that are missing in the others, and for every appearance that twins are shown with, where it is not the corrected one for all.
     """
     groups: dict[tuple, list[dict]] = {}
     twins = {(row["collection"], row["method"], row["sources"], row["seed"]): row.get("note") for row in results.rows}
@@ -142,7 +142,20 @@ def notes(results: Results) -> list[str]:
         reasons = list(dict.fromkeys(row["reason"] for row in rows))
         where = ", ".join(row["where"] for row in rows[:3]) + (f" and {len(rows) - 3} more" if len(rows) > 3 else "")
         said.append(f"{collection}, {task}: {method} {status} in {len(rows)} (not in the means): {where}: {'; '.join(reasons[:3])}")
-    return said + _without_value(results) + _left_out(results)
+    return said + _without_value(results) + _left_out(results) + _shown(results)
+
+
+def _shown(results: Results) -> list[str]:
+    """One sentence for each collection whose twins are not all shown with the corrected appearance."""
+    said = []
+    for collection in dict.fromkeys(row["collection"] for row in results.rows):
+        looks: dict[str, dict[str, None]] = {}
+        for row in results.rows:
+            if row["collection"] == collection and row.get("appearance"):  # results of before have no such column
+                looks.setdefault(row["appearance"], {})[row["method"]] = None
+        if set(looks) - {"corrected"}:
+            said.append(f"{collection}, appearance in images: " + "; ".join(f"{look}: {', '.join(names)}" for look, names in looks.items()))
+    return said
 
 
 def _without_value(results: Results) -> list[str]:

@@ -91,11 +91,15 @@ class Method(ABC):
 
     ``reads_images`` names the kinds of images (color, depth, mask, human_mask) that ``fit`` looks at, those of the method it builds on
     included. A twin is remembered by what it was fitted on, and images that nobody looks at are not read for that.
+
+    ``appearance`` says what its roll-outs are shown with: "corrected", "as-published", or some switches of the published appearance
+    (``appearance.config.quirks_named``).
     """
 
     name: str
     builds_on: str | None = None
     reads_images: tuple[str, ...] = ()
+    appearance: str = "corrected"
     skip_transfer: str | None = None  # why no twin of this method can be placed in another recording; its transfer rows say so
 
     @abstractmethod

@@ -30,17 +30,18 @@ class Declared:
     class_name: str
     doc: str | None
     reads_images: tuple[str, ...] = ()
+    appearance: str = Method.appearance
 
 
 class Found:
     """A method that is there: called without arguments it imports the method and makes one. Carries the method's docstring.
 
-    ``room`` is the folder of the package that it was found in, ``reads_images`` what its class says of that.
+    ``room`` is the folder of the package that it was found in, ``reads_images`` and ``appearance`` what its class says of these.
     """
 
     def __init__(self, name: str, room: str, module: str, declared: Declared):
         self.name, self.room, self._module, self._class = name, room, module, declared.class_name
-        self.__doc__, self.reads_images = declared.doc, declared.reads_images
+        self.__doc__, self.reads_images, self.appearance = declared.doc, declared.reads_images, declared.appearance
 
     def __call__(self) -> Method:
         return getattr(import_module(self._module, __package__), self._class)()
@@ -86,7 +87,8 @@ def declared(source: str, file: str = "") -> dict[str, Declared]:
         if name is None:
             raise ValueError(f'{file}: METHODS lists {class_name}, which must be a class of that file with a line name = "..."')
         reads = _inherited(class_name, "reads_images", classes) or ()
-        found[name] = Declared(class_name, ast.get_docstring(classes[class_name]), tuple(reads))
+        appearance = _inherited(class_name, "appearance", classes) or Method.appearance
+        found[name] = Declared(class_name, ast.get_docstring(classes[class_name]), tuple(reads), appearance)
     return found
 
 

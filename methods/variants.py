@@ -9,6 +9,7 @@ import numpy as np
 
 from ..datasets.collection import nearest
 from ..datasets.scenario import Observed, Scenario
+from .appearance.config import quirks_named
 from .base import Method
 from .registry import get_method, methods
 
@@ -26,8 +27,9 @@ class Variant:
     stages    those that it has, of a method with ``stages``
     cameras   so many, the first ones, are all that a fit has observations of, see :func:`seen_by`
     clips     recordings of the object that a twin is fitted on: the train frames of the one it is scored on, then those of others
+    look      what its roll-outs are shown with, as ``Method.appearance`` says it; None is as the method says
 
-    Raises ValueError where the method is unknown, and when it is called, where it has no such config.
+    Raises ValueError where method or look are unknown, and when it is called, where the method has no such config.
     """
 
     name: str
@@ -36,6 +38,7 @@ class Variant:
     stages: tuple[str, ...] | None = None
     cameras: int | None = None
     clips: int | None = None
+    look: str | None = None
 
     def __post_init__(self):
         if self.method not in methods():
@@ -43,6 +46,10 @@ class Variant:
         for option in ("cameras", "clips"):
             if (count := getattr(self, option)) is not None and count < 1:
                 raise ValueError(f"{self.name}: {option} must be >= 1, got {count}")
+        try:
+            quirks_named(self.appearance)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from error
 
     def __call__(self) -> Method:
         method = get_method(self.method)
@@ -50,6 +57,7 @@ class Variant:
             method.presets = {preset: changed(config, self.config) for preset, config in method.presets.items()}
         if self.stages is not None:
             method.stages = self.stages
+        method.appearance = self.appearance
         if self.key != self.method:
             method.builds_on = None  # what it builds on is changed alike, so it makes that itself
         return method if self.cameras is None else FewerCameras(method, self.cameras)
@@ -59,6 +67,11 @@ class Variant:
         """What a twin is known by: variants that make the same method share their twins, with the method itself where nothing differs."""
         changes = [sorted(self.config.items()), self.stages, self.cameras]
         return [self.method, *changes] if any(changes) else self.method
+
+    @property
+    def appearance(self) -> str:
+        """What its roll-outs are shown with; its twins are the same whatever that is."""
+        return methods()[self.method].appearance if self.look is None else self.look
 
     @property
     def room(self) -> str:
@@ -105,7 +118,7 @@ class FewerCameras(Method):
     def __init__(self, method: Method, count: int):
         self.method, self.count = method, count
         self.name, self.builds_on, self.skip_transfer = method.name, method.builds_on, method.skip_transfer
-        self.reads_images = _with(method.reads_images)
+        self.reads_images, self.appearance = _with(method.reads_images), method.appearance
 
     def fit(self, observed: Sequence[Observed], **options):
         return self.method.fit([seen_by(one, self.count) for one in observed], **options)

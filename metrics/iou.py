@@ -24,18 +24,20 @@ class IoU(ImageMetric):
     """Intersection over union of the recorded mask and the rendered opacity > 0, as published.
 
     PhysTwin's evaluation (arXiv 2503.17973, section 5, as executed): view 0 with camera 1's intrinsics, mean over the frames of all
-    recordings; the human region is cut out of the rendering only, so what hands hide in the recording's mask counts as missed. Opacity is
-    the 8-bit one: it is > 0 from 0.5/255 on.
+    recordings; the human region is cut out of the rendering only, so what hands hide in the recording's mask counts as missed. A frame in
+    which the mask is empty or all behind hands counts 0 so, and 1 where nothing is rendered in an empty mask. Opacity is the 8-bit one:
+    it is > 0 from 0.5/255 on.
     """
 
     name = "iou"
 
     def compare(self, view):
-        return intersection_over_union(view.mask, view.silhouette)
+        return intersection_over_union(view.mask, view.silhouette) if (view.mask | view.silhouette).any() else 1.0
 
 
 class CorrectedIoU(IoU):
-    """Intersection over union without the human region in either, in the camera's own view, mean over recordings."""
+    """Intersection over union without the human region in either, in the camera's own view, mean over recordings; frames in which nothing
+    of the object is to be seen are left out and counted."""
 
     name, corrected = "iou_corrected", True
 

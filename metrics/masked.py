@@ -36,7 +36,8 @@ def view(prediction: Prediction, scenario: Scenario, frame: int, *, corrected: b
 
     PhysTwin's evaluation (arXiv 2503.17973, section 5, as executed) renders every camera with camera 1's intrinsics, so that its view 0
     has camera 0's pose and camera 1's focal length and principal point; ``corrected`` takes the camera's own.
-    Raises Unscorable where there is nothing to compare.
+    Raises Unscorable where there is nothing to compare; as ``corrected`` also where nothing of the object is to be seen, which as published
+    is compared all the same, black with what was rendered.
     """
     if scenario.images is None or not scenario.cameras:
         raise Unscorable(f"the recording has no {'images' if scenario.images is None else 'cameras'}")
@@ -49,9 +50,9 @@ def view(prediction: Prediction, scenario: Scenario, frame: int, *, corrected: b
         raise Unscorable("the prediction is not finite")
     camera = scenario.cameras[CAMERA]
     color, mask, human = _recorded(scenario, frame, (camera.height, camera.width))
-    if not mask.any():
+    if corrected and not mask.any():
         raise Unscorable(f"frame {frame}: the object's mask of camera {CAMERA} is empty")
-    if not (mask & ~human).any():
+    if corrected and not (mask & ~human).any():
         raise Unscorable(f"frame {frame}: hands hide the object from camera {CAMERA}")
     rendered = _rendered(image(camera if corrected else replace(camera, intrinsics=scenario.cameras[1].intrinsics), frame), human)
     seen = np.where((mask & ~human)[..., None], color, 0) / 255
@@ -84,7 +85,7 @@ def _rendered(image: np.ndarray, human: np.ndarray) -> np.ndarray:
 class ImageMetric(Metric):
     """One number for a pair of images. ``corrected`` chooses the view, as :func:`view` says; published means pool frames."""
 
-    unit, direction, version = "", "higher", 1
+    unit, direction, version = "", "higher", 2
     images = True
     corrected = False
 

@@ -12,6 +12,7 @@ from twinbench.benchmark.plan import TASKS, Evaluation, Fit, plan
 from twinbench.benchmark.tracker import Tracker
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Camera, Scenario, Split, TransferPair
+from twinbench.methods.appearance.config import AS_PUBLISHED, CORRECTED, Quirks, quirks_named
 from twinbench.methods.base import Budget
 from twinbench.methods.registry import get_method, methods
 from twinbench.methods.variants import FewerCameras, Variant, changed, quirks, seen_by
@@ -45,11 +46,11 @@ def test_every_ablation_makes_its_methods(name):
     found = ablation.methods()
     assert len(found) >= 2 and ablation.says and set(ablation.tasks) <= set(TASKS) and set(ablation.metrics) <= set(metrics())
     made = {key: method() for key, method in found.items()}  # an unknown switch or field raises here
-    keys = [str(getattr(method, "key", key)) + str(getattr(method, "clips", "")) for key, method in found.items()]
+    keys = [(str(getattr(m, "key", key)), getattr(m, "clips", ""), getattr(m, "appearance", "")) for key, m in found.items()]
     assert len(set(keys)) == len(keys), "two variants are the same"
     for key, method in found.items():
         if isinstance(method, Variant):
-            assert method.reads_images == made[key].reads_images
+            assert (method.reads_images, method.appearance) == (made[key].reads_images, made[key].appearance)
     assert all("," not in key for key in found)  # which --methods would split
 
 
@@ -102,6 +103,8 @@ def test_unknown_fields_are_refused_with_the_nearest(changes, message):
     ("options", "message"),
     [
         ({"method": "phystwn"}, "v: unknown method 'phystwn'; did you mean 'phystwin'"),
+        ({"method": "phystwin", "look": "shared_ranks"}, "v: unknown appearance 'shared_ranks'; did you mean 'shared_rank'"),
+        ({"method": "phystwin", "look": "half_pixel+published"}, "v: unknown appearance 'published'"),
         ({"method": "phystwin", "cameras": 0}, "v: cameras must be >= 1, got 0"),
         ({"method": "phystwin", "clips": -1}, "v: clips must be >= 1, got -1"),
     ],
@@ -109,6 +112,17 @@ def test_unknown_fields_are_refused_with_the_nearest(changes, message):
 def test_impossible_variants_are_refused(options, message):
     with pytest.raises(ValueError, match=message):
         Variant("v", **options)
+
+
+def test_each_quirk_of_the_appearance_is_switched_alone_and_twins_are_shared():
+    found = ABLATIONS["appearance-quirks"].methods()
+    named = {key: quirks_named(method().appearance) for key, method in found.items()}
+    assert named.pop("corrected") == CORRECTED and named.pop("as-published") == AS_PUBLISHED
+    assert list(named) == list(Quirks.__dataclass_fields__)
+    for switch, found_quirks in named.items():
+        assert found_quirks == replace(CORRECTED, **{switch: True})
+    assert {method.key for method in found.values()} == {"phystwin"}
+    assert quirks_named("half_pixel+shared_rank") == replace(CORRECTED, half_pixel=True, shared_rank=True)
 
 
 def test_twins_are_shared_where_nothing_differs_and_only_there():

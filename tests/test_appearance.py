@@ -18,7 +18,7 @@ from twinbench.methods.appearance.render import draw, render
 from twinbench.methods.appearance.skinning import Skinning, bone_rotations, quaternions, rotated
 from twinbench.methods.appearance.splats import Viewpoint, project
 from twinbench.methods.appearance.tiles import blend
-from twinbench.methods.appearance.views import frame_zero, starting_points
+from twinbench.methods.appearance.views import _widened, frame_zero, starting_points
 from twinbench.methods.base import Trajectory
 from twinbench.methods.threads import threads_for
 
@@ -83,6 +83,37 @@ def test_one_gaussian_is_its_closed_form():
     assert np.abs(image[..., 3].numpy() - alpha).max() < 1e-12
     assert np.abs(image[..., :3].numpy() - alpha[..., None] * colour).max() < 1e-12
     assert np.abs(depth.numpy() - np.where(alpha > 0, z, 0)).max() < 1e-12
+
+
+def test_as_published_all_is_drawn_half_a_pixel_off():
+    # published: pixel (row, column) is at (column + 0.5, row + 0.5) where the camera's matrix has its principal point and focal lengths as for
+    # pixel centres at integers. A Gaussian at u, v between pixels: alpha = o exp(-d V^-1 d / 2) with d = (column + 0.5 - u, row + 0.5 - v)
+    f, z, sigma, opacity, (x, y) = 80.0, 0.9, 0.02, 0.7, (0.0123, -0.0071)
+    camera = Camera([[f, 0, 15.2], [0, f, 10.4], [0, 0, 1]], np.eye(4), 32, 20)
+    u, v = f * x / z + 15.2, f * y / z + 10.4
+    row, column = np.mgrid[:20, :32]
+    a, b = x / z, y / z
+    # perspective makes the circle a slightly slanted ellipse: covariance (f sigma / z)^2 [[1 + a^2, a b], [a b, 1 + b^2]] + 0.3
+    covariance = (f * sigma / z) ** 2 * np.array([[1 + a * a, a * b], [a * b, 1 + b * b]]) + 0.3 * np.eye(2)
+    for half_pixel, offset in ((True, 0.5), (False, 0.0)):
+        apart = np.stack([column + offset - u, row + offset - v], -1)
+        alpha = opacity * np.exp(-0.5 * np.einsum("hwi,ij,hwj->hw", apart, np.linalg.inv(covariance), apart))
+        alpha[alpha < 1 / 255] = 0
+        image = render(plain([[x, y, z]], [sigma], [opacity], [[1, 1, 1]]), camera, half_pixel=half_pixel)
+        assert np.abs(image[..., 3].numpy() - alpha).max() < 1e-12, half_pixel
+
+
+def test_the_quirk_reaches_the_fit_and_the_pictures(sample, monkeypatch):
+    seen = []
+    for module in ("fitting.draw", "render.draw"):
+        real = draw
+        spy = lambda *a, real=real, **k: seen.append(k["half_pixel"]) or real(*a, **k)  # noqa: E731
+        monkeypatch.setattr(f"twinbench.methods.appearance.{module}", spy)
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["quick"], iterations=2))
+    for quirks in (AS_PUBLISHED, CORRECTED):
+        made = Appearance.fit(sample.initial(), quirks=quirks)
+        made.animate(Trajectory(np.float32(sample.structure)[None], sample.counts)).image(sample.cameras[0], 0)
+    assert seen == [True] * 3 + [False] * 3
 
 
 @pytest.mark.parametrize("opacity", [(0.1, 0.9), (0.9, 1.0)])
@@ -456,6 +487,47 @@ def test_the_fit_looks_right_from_a_camera_that_it_did_not_see(sample, fitted):
     free = ~view.human
     drawn = render(fitted.gaussians, view.camera)[..., :3].numpy()
     assert psnr(drawn[free], view.color[free]) > psnr(view.color[free].mean(axis=0), view.color[free]) + 5
+
+
+def test_large_gaussians_are_pruned_as_published():
+    # published, after step 3000: those with opacity < 0.005 or a standard deviation > 0.1 of the extent go. The extent here is 2 m
+    opacities, scales = np.array([0.5, 0.004, 0.5, 0.5, 0.004, 0.9]), np.array([0.01, 0.01, 0.19, 0.21, 0.5, 0.3])
+    start = plain(np.arange(18.0).reshape(6, 3), scales, opacities, np.full((6, 3), 0.5), torch.float32)
+    for prune_large, gone in ((True, (opacities < 0.005) | (scales > 0.1 * 2.0)), (False, opacities < 0.005)):
+        growing = Growing(start, 2.0, Config(), torch.Generator())
+        growing.densify(prune_large=prune_large)
+        np.testing.assert_allclose(growing.gaussians(0).positions.detach().numpy(), start.positions[~torch.tensor(gone)].numpy())
+
+
+def test_a_gaussian_that_is_split_is_pruned_by_what_it_has_become():
+    # 0.3 m of an extent of 2 m is split into two of 0.3 / 1.6 = 0.1875 m, which are below 0.2 m and stay
+    growing = Growing(plain([[0, 0, 1]], [0.3], [0.5], [[0.5] * 3], torch.float32), 2.0, Config(), torch.Generator())
+    growing._pull, growing._seen = torch.tensor([1.0]), torch.tensor([1.0])
+    growing.densify(prune_large=True)
+    np.testing.assert_allclose(growing["log_scales"].detach().exp().numpy(), [0.1875, 0.1875], rtol=1e-6)
+
+
+def test_large_gaussians_are_pruned_only_as_published_and_not_before_step_3000(sample, monkeypatch):
+    assert (Config().prune_size, Config().prune_size_from) == (0.1, 3000)
+    asked, config = [], replace(PRESETS["quick"], iterations=8, densify_from=1, densify_every=2, prune_size_from=4)
+    monkeypatch.setattr(Growing, "densify", lambda self, *, prune_large: asked.append(prune_large))
+    views = frame_zero(sample.observed(), config, CORRECTED)
+    for quirks, expected in ((AS_PUBLISHED, [False, False, True]), (CORRECTED, [False] * 3)):
+        asked.clear()
+        fit_gaussians(views, *starting_points(sample.observed(), views), config, quirks)
+        assert asked == expected  # after steps 2, 4 and 6
+
+
+@pytest.mark.parametrize("pixels", [1, 2, 7, 8])
+def test_the_human_region_is_widened_as_opencv_does(pixels):
+    # published: a dilation by 8 x 8 pixels, whose anchor OpenCV sets at pixel 8 // 2; row by row: p is on where [p - 4, p + 3] holds one
+    cv2 = pytest.importorskip("cv2")
+    mask = np.random.default_rng(0).random((30, 40)) > 0.99
+    expected = cv2.dilate(mask.astype(np.uint8), np.ones((pixels, pixels), np.uint8)).astype(bool)
+    before, after = pixels // 2, pixels - pixels // 2
+    padded = np.pad(mask, ((before, after), (before, after)))
+    by_hand = [[padded[r : r + pixels, c : c + pixels].any() for c in range(40)] for r in range(30)]
+    assert np.array_equal(by_hand, expected) and np.array_equal(_widened(mask, pixels), expected)
 
 
 def test_a_seed_repeats_and_another_does_not(sample):

@@ -386,8 +386,8 @@ def unreadable(images, kind, frame):
         ({"cameras": 0}, {}, "the recording has no cameras", (*PUBLISHED, *CORRECTED)),
         ({"cameras": 1}, {}, "the recording has one camera, and the published view takes camera 1's intrinsics", PUBLISHED),
         ({"humans": None}, {}, "frame 1: no human mask of camera 0", (*PUBLISHED, *CORRECTED)),
-        ({"humans": 1}, {}, "frame 1: hands hide the object from camera 0", (*PUBLISHED, *CORRECTED)),
-        ({"masks": np.zeros((3, 40, 54))}, {}, "frame 1: the object's mask of camera 0 is empty", (*PUBLISHED, *CORRECTED)),
+        ({"humans": 1}, {}, "frame 1: hands hide the object from camera 0", CORRECTED),
+        ({"masks": np.zeros((3, 40, 54))}, {}, "frame 1: the object's mask of camera 0 is empty", CORRECTED),
         ({}, {"image": None}, "the prediction has no appearance", (*PUBLISHED, *CORRECTED)),
         ({}, {"positions": np.full((3, 1, 3), np.nan)}, "the prediction is not finite", (*PUBLISHED, *CORRECTED)),
     ],
@@ -403,6 +403,40 @@ def test_what_cannot_be_scored_is_nan_with_a_reason(random_backbone, options, pr
             assert math.isnan(result.mean) and (result.frames, result.unscorable, result.reason) == (2, 2, reason), name
         else:
             assert not math.isnan(result.mean) and (result.unscorable, result.reason) == (0, ""), name
+
+
+def published_iou(mask, human, rgba):
+    """The reference's, written down from what it does: the object's mask as it is, and opacity in 8 bits, 0 where the human is."""
+    free = 1 - human.astype(np.float32)
+    alpha = np.round(255 * rgba[..., 3]).astype(np.float32) * free
+    both, any_ = (mask > 0) & (alpha > 0), (mask > 0) | (alpha > 0)
+    return both.sum() / any_.sum() if any_.sum() > 0 else 1.0
+
+
+def published_psnr(color, mask, human, rgba):
+    recorded = color.astype(np.float64) / 255 * mask[..., None] * (1 - human[..., None])
+    rendered = np.round(255 * rgba[..., :3]) / 255 * (1 - human[..., None])
+    with np.errstate(divide="ignore"):
+        return 20 * np.log10(1 / np.sqrt(((recorded - rendered) ** 2).mean()))
+
+
+def test_frames_without_the_object_count_as_published_and_are_left_out_as_corrected():
+    # frame 1: half seen; 2: no mask, something rendered; 3: all behind a hand; 4: no mask, nothing rendered
+    mask, human, looks = np.zeros((5, 6, 8), bool), np.zeros((5, 6, 8), bool), []
+    mask[[0, 1, 3], 1:5, 2:6] = True
+    human[1, :, 4:] = human[3, :, 1:7] = True
+    looks = [opaque(0.6, box) for box in (mask[0], mask[1], mask[1], mask[1], np.zeros((6, 8)))]
+    color = np.full((6, 8, 3), 150, np.uint8)
+    seen, shown_so = recording(color, mask, human), shown(*looks)
+    expected = [published_iou(mask[t], human[t], looks[t]) for t in range(1, 5)]
+    assert expected == pytest.approx([8 / 16, 0, 0, 1])
+    result = score(get_metric("iou"), shown_so, seen, [1, 2, 3, 4])
+    assert list(get_metric("iou")(shown_so, seen, [1, 2, 3, 4])) == pytest.approx(expected, abs=ROUNDING)
+    assert (result.mean, result.unscorable) == (pytest.approx(np.mean(expected)), 0)
+    decibels = [published_psnr(color, mask[t], human[t], looks[t]) for t in range(1, 5)]
+    assert list(get_metric("psnr")(shown_so, seen, [1, 2, 3, 4])) == pytest.approx(decibels, abs=1e-6) and decibels[2] == math.inf
+    corrected = score(get_metric("iou_corrected"), shown_so, seen, [1, 2, 3, 4])
+    assert (corrected.mean, corrected.unscorable) == (1.0, 3) and "mask of camera 0 is empty" in corrected.reason
 
 
 @pytest.mark.parametrize("kind", ["color", "mask", "human_mask"])

@@ -217,6 +217,8 @@ CHANGES = {
     "fixed_grip": {"transferred pull", "transferred collision distance", "transferred step"},
     "named_transfer": {"laid by"},
     "rough_registration": {"laid by"},
+    "interior_registered": {"registered"},
+    "unscored_start": {"candidates"},
 }
 
 
@@ -251,6 +253,7 @@ def behaviour(quirks, o, monkeypatch):
         counted = []
         m.setattr(zero_order, "costs", lambda candidates, *a: counted.extend(candidates) or [1.0] * len(candidates))
         search([o], config, seed=0, device="cpu")
+        seen["candidates"] = len(counted)
         seen["searched"] = {name for name in TRUTH if len({c[name] for c in counted}) > 1}
 
     loss = FitLoss(o, frame_one_counts=quirks.frame_one_counts)
@@ -287,8 +290,11 @@ def behaviour(quirks, o, monkeypatch):
         laid = []
         for name in ("point_to_point", "colored", "bend", "bend_once"):
             m.setattr(transfer, name, lambda lying, *a, name=name, **k: laid.append(name) or lying)
-        transfer.laid(build(TRUTH, place), colliding, place, quirks)
-        seen["laid by"] = laid
+        registered = []
+        m.setattr(transfer, "align", lambda lying, cloud, *, surface, **k: registered.append((surface, len(cloud))) or lying)
+        solid = replace(place, counts=(30, 10, 8))
+        transfer.laid(build(TRUTH, place), replace(solid, self_collision=True), solid, quirks)
+        seen["laid by"], seen["registered"] = laid, registered
     return seen
 
 
@@ -358,6 +364,8 @@ def test_switches_do_what_they_say(short, monkeypatch):
     assert p["transferred step"] == (6667, 5e-6) and c["transferred step"] is None
     # what collides with itself is cloth, whatever it is called, and cloth is not bent
     assert p["laid by"] == ["point_to_point", "bend_once"] and c["laid by"] == []
+    assert p["registered"] == [(48, 48)] and c["registered"] == [(40, 40)]
+    assert (p["candidates"], c["candidates"]) == (2, 3)
 
 
 def test_the_acceleration_loss_does_not_change_the_motion(lift):
@@ -394,6 +402,21 @@ def test_the_search_begins_at_the_published_start_and_returns_the_best_ever(foun
     lowest, values = min(evaluated, key=lambda pair: pair[0])
     assert best == values
     assert lowest < evaluated[0][0] / 2  # the truth is far from the start
+
+
+def test_as_published_the_start_is_no_candidate(monkeypatch, lift):
+    # whatever is drawn costs more than the start: as published the best of what was drawn is returned all the same
+    start = {p.name: p.value for p in ranges(CORRECTED, lift.spacing)}
+    drawn = []
+
+    def costs(candidates, *_):
+        drawn.extend(one for one in candidates if one != start)
+        return [0.0 if one == start else 1.0 + one["drag_damping"] for one in candidates]
+
+    monkeypatch.setattr(zero_order, "costs", costs)
+    assert search([lift], FAST, seed=0, device="cpu") == start
+    published = search([lift], replace(FAST, quirks=replace(CORRECTED, unscored_start=True)), seed=0, device="cpu")
+    assert published != start and published == min(drawn, key=lambda one: one["drag_damping"])
 
 
 def test_a_whole_generation_is_one_batch(found):

@@ -3,11 +3,13 @@
 import json
 import math
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from twinbench.benchmark.ablations import ABLATIONS
 from twinbench.benchmark.cache import Cache
 from twinbench.benchmark.checksum import image_checksum
 from twinbench.benchmark.opening import open_recordings
@@ -19,8 +21,10 @@ from twinbench.benchmark.runner import Runner, Settings
 from twinbench.benchmark.table import blocks, markdown, notes, terminal
 from twinbench.datasets.phystwin import read_case, write_case
 from twinbench.datasets.scenario import Camera, Scenario, Split
+from twinbench.methods.appearance.config import AS_PUBLISHED, CORRECTED
 from twinbench.methods.base import Trajectory
 from twinbench.methods.registry import methods
+from twinbench.methods.variants import Variant
 from twinbench.metrics.base import Unscorable, get_metric, score
 
 FRAMES, TRAIN, SIDE = 6, 3, 20
@@ -28,12 +32,14 @@ GREY = 128
 NAMES = ("chamfer", "iou", "iou_corrected", "psnr", "psnr_corrected")
 calls = Counter()
 seen = []
+fitted_with = []
 
 
 @pytest.fixture(autouse=True)
 def forget():
     calls.clear()
     seen.clear()
+    fitted_with.clear()
 
 
 def square(column, rows=(8, 12)):
@@ -86,9 +92,10 @@ class Painted:
         self.name = name
 
     @classmethod
-    def fit(cls, observed, *, preset="quick", seed=0, device="cpu", progress=None):
+    def fit(cls, observed, *, quirks, preset="quick", seed=0, device="cpu", progress=None):
         calls["fit"] += 1
         seen.append(observed)
+        fitted_with.append(quirks)
         progress("painting", 0.5)
         if cls.fault is not None:
             raise cls.fault
@@ -186,6 +193,80 @@ def test_one_appearance_serves_all_methods_and_tasks_of_a_recording(tmp_path):
     assert json.dumps(again) == json.dumps(rows) and calls["fit"] == 2 and calls["image"] == 8 * (FRAMES - 1) * 2
 
 
+class PublishedStatic(methods()["static"]().__class__):
+    """The baseline, shown as published."""
+
+    appearance = "as-published"
+
+
+def test_a_method_is_shown_with_its_own_appearance_and_its_row_says_so(tmp_path):
+    case, cache = write(tmp_path / "case"), Cache(tmp_path / "cache")
+    use = {"static": methods()["static"], "also static": Variant("also static", "static"), "published": PublishedStatic}
+    use |= {"one quirk": Variant("one quirk", "static", look="shared_rank"), "corrected": Variant("corrected", "static", look="corrected")}
+
+    def run_all(names=("iou", "chamfer")):
+        opened = open_recordings(str(case), split="published", cache=cache)
+        common = Settings(use, {name: get_metric(name) for name in names}, appearance=lambda: Painted)
+        rows = Runner(opened, common, cache).run(plan(opened.collection, methods=use))
+        return rows, Results.of(rows, common.metrics, [opened.collection])
+
+    rows, results = run_all()
+    looks = {row["method"]: row["appearance"] for row in rows}
+    shown = {"published": "as-published", "one quirk": "shared_rank"}
+    assert looks == {name: shown.get(name, "corrected") for name in use}
+    # one fit of the recording for each set of quirks, in the order in which they are asked for
+    assert fitted_with == [CORRECTED, AS_PUBLISHED, replace(CORRECTED, shared_rank=True)]
+    said = "case, appearance in images: corrected: static, also static, corrected; as-published: published; shared_rank: one quirk"
+    assert said in terminal(results) and said in markdown(results)
+    write_results(results, tmp_path / "out")
+    assert {row["method"]: row["appearance"] for row in read_results(tmp_path / "out").rows} == looks
+    assert json.dumps(run_all()[0]) == json.dumps(rows) and calls["fit"] == 3
+    # where nobody looks at images there is no appearance, and nothing to say of it
+    rows, results = run_all(["chamfer"])
+    assert {row["appearance"] for row in rows} == {""} and "appearance" not in terminal(results)
+
+
+def test_rows_with_another_appearance_are_not_taken_from_the_cache(tmp_path):
+    class Dark(Painted):
+        @classmethod
+        def fit(cls, observed, *, quirks, **options):
+            super().fit(observed, quirks=quirks, **options)
+            return cls("dark" if quirks.incremental else "bright")
+
+        def animate(self, trajectory):
+            moving = Moving(trajectory)
+            return moving if self.name == "bright" else SimpleNamespace(image=lambda camera, frame: moving.image(camera, frame) / 2)
+
+    case, cache = write(tmp_path / "case"), Cache(tmp_path / "cache")
+    found = {}
+    for name, look in (("bright", "corrected"), ("dark", "incremental"), ("bright again", None)):
+        use = {name: Variant(name, "static", look=look)}
+        opened = open_recordings(str(case), split="published", cache=cache)
+        common = Settings(use, {"psnr": get_metric("psnr")}, appearance=lambda: Dark)
+        found[name] = Runner(opened, common, cache).run(plan(opened.collection, methods=use))[0]["psnr"]
+    assert found["bright"] == found["bright again"] != found["dark"] and calls["fit"] == 2
+
+
+def test_pictures_show_the_methods_own_appearance(tmp_path):
+    opened = open_recordings(str(write(tmp_path / "case")), split="published", cache=Cache(tmp_path / "cache"))
+    use = {"corrected": Variant("corrected", "static"), "published": Variant("published", "static", look="as-published")}
+    player = Player(opened, Settings(use, {}, appearance=lambda: Painted), Cache(tmp_path / "cache"))
+    rollouts, _ = player.play_all("case", 0, lambda label, fraction: None)
+    for trajectory in rollouts.values():
+        trajectory.image(read_case(tmp_path / "case").cameras[0], 1)
+    assert fitted_with == [CORRECTED, AS_PUBLISHED]
+
+
+@pytest.mark.parametrize("name", sorted(name for name in methods() if name.endswith("-as-published")))
+def test_what_is_as_published_is_shown_as_published(name):
+    assert methods()[name].appearance == methods()[name]().appearance == "as-published"
+    assert get_ablation("stages-as-published", "clips-as-published") == {"as-published"}
+
+
+def get_ablation(*names):
+    return {method.appearance for name in names for method in ABLATIONS[name].methods().values()}
+
+
 def test_geometry_does_not_wait_for_images(tmp_path):
     write(tmp_path / "case")
     rows, _ = run(tmp_path / "case", tmp_path, names=["chamfer", "track_error"])
@@ -272,8 +353,11 @@ def test_an_empty_mask(tmp_path):
         hand_masks=[[empty] * FRAMES] * 2,
     )
     rows, _ = run(tmp_path / "other" / "case", tmp_path)
-    assert [row["iou_reason"] for row in rows] == [f"frame {t}: the object's mask of camera 0 is empty" for t in (1, 3)]
-    assert all(math.isnan(row["psnr_corrected"]) and row["chamfer"] > 0 for row in rows) and calls["fit"] == 0
+    assert [row["iou_corrected_reason"] for row in rows] == [f"frame {t}: the object's mask of camera 0 is empty" for t in (1, 3)]
+    assert [row["iou_corrected_unscorable"] for row in rows] == [2, 3]
+    assert all(math.isnan(row["psnr_corrected"]) and row["chamfer"] > 0 for row in rows)
+    # as published every frame counts: 4 x 4 pixels too many, IoU 0
+    assert all((row["iou"], row["iou_unscorable"]) == (0, 0) and row["psnr"] == pytest.approx(decibels(16)) for row in rows)
 
 
 def test_an_appearance_that_is_refused_is_a_reason_and_remembered(tmp_path):

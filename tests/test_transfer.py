@@ -169,6 +169,60 @@ def test_as_published_the_name_says_how_a_body_is_registered(source, monkeypatch
     assert called == [("colored" if by_color else "point_to_point"), *([] if cloth else ["bend_once"])]
 
 
+def published_closest_points(source, target, reach=0.02, rounds=30, relative=1e-6):
+    """The reference's point-to-point registration, from what it is: all particles of both, from the difference of their centres on."""
+    moved, before = source - source.mean(0) + target.mean(0), None
+    for _ in range(rounds):
+        apart = np.linalg.norm(moved[:, None] - target[None], axis=2)
+        near = apart.min(1) <= reach
+        now = np.array([near.mean(), np.sqrt((apart.min(1)[near] ** 2).mean())])
+        if before is not None and (np.abs(now - before) < relative).all():
+            break
+        before, (a, b) = now, (moved[near], target[apart.argmin(1)[near]])
+        u, _, vt = np.linalg.svd((b - b.mean(0)).T @ (a - a.mean(0)))  # of sum b a^T (Umeyama 1991)
+        turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+        moved = (moved - a.mean(0)) @ turn.T + b.mean(0)
+    return moved
+
+
+def test_as_published_what_lies_inside_is_registered_too(monkeypatch):
+    # a cube of 6 cm, half of it inside; its target is another sample of it, turned by 0.1 rad and sampled inside on one side only
+    random = np.random.default_rng(0)
+    turn, shift, places, truths = Rotation.from_rotvec([0.06, 0, 0.08]).as_matrix(), [0.3, 0.1, -0.2], [], []
+    for way in (lambda points: points, lambda points: points @ turn.T + shift):
+        shell = random.uniform(-0.03, 0.03, (300, 3))
+        shell[np.arange(300), random.integers(0, 3, 300)] = random.choice([-0.03, 0.03], 300)
+        inside = random.uniform(-0.025, 0.025, (300, 3))
+        inside[:, 0] = np.abs(inside[:, 0]) if places else inside[:, 0]
+        outside, inside, seen = way(shell), way(inside), np.ones((2, 200), bool)
+        parts = dict(points=np.repeat(outside[None, :200], 2, 0), visible=seen, motion_valid=seen, controllers=np.zeros((2, 0, 3)))
+        places.append(Place.of(Observed(name="cloth", surface=outside[200:], interior=inside, **parts)))
+        truths.append(way(places[0].structure))
+    monkeypatch.setattr(transfer, "align", lambda structure, *a, **k: structure)  # in place of image features
+    laid = {}
+    for quirks, count in ((AS_PUBLISHED, 600), (replace(AS_PUBLISHED, interior_registered=False), 300)):
+        lying = transfer.laid(build(VALUES, places[0]), *places, quirks)
+        expected = published_closest_points(places[0].structure[:count], places[1].structure[:count])
+        np.testing.assert_allclose(lying[:count], expected, atol=1e-9)  # the same sums in another order
+        laid[count] = lying
+    assert error(laid[600], laid[300]) > 1e-3 and error(laid[600], truths[1]) > 1.5 * error(laid[300], truths[1])  # m
+
+
+def test_as_published_colours_of_all_particles_are_matched(monkeypatch, source):
+    given = []
+    monkeypatch.setattr(transfer, "colored", lambda lying, *a: given.append(a) or lying)
+    target = frame_0(recording("target", 1))
+    places = Place.of(replace(source, name="zebra")), Place.of(target)
+    for quirks in (AS_PUBLISHED, replace(AS_PUBLISHED, interior_registered=False)):
+        transfer.laid(build(VALUES, places[0]), *places, quirks)
+    for (colors, cloud, cloud_colors), part in zip(given, (3, 2), strict=True):
+        for place, rgb in zip(places, (colors, cloud_colors), strict=True):
+            assert len(rgb) == sum(place.counts[:part])
+            np.testing.assert_array_equal(rgb[: place.counts[0]], place.colors)
+            assert np.isnan(rgb[place.counts[0] :]).all()  # untracked points have the filler's grey
+        assert len(cloud) == sum(places[1].counts[:part])
+
+
 def test_without_open3d_only_what_is_matched_by_its_colours_as_published_is_refused(source, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     target = frame_0(recording("target", 1))

@@ -104,6 +104,7 @@ class Animated:
         gaussians = appearance.gaussians[appearance.gaussians.opacities > SOLID]
         self.frame_count = len(trajectory.positions)
         self.turn_harmonics = turn_harmonics
+        self._half_pixel = appearance.quirks.half_pixel
         self._still = gaussians.to(appearance.device)
         self._skinning = Skinning(trajectory.positions, gaussians.positions, quirks=appearance.quirks, device=appearance.device)
 
@@ -122,4 +123,4 @@ class Animated:
         from .render import render
 
         with threads_for(camera.width * camera.height):
-            return render(self.gaussians(frame), camera).clamp(0, 1).float().cpu().numpy()
+            return render(self.gaussians(frame), camera, half_pixel=self._half_pixel).clamp(0, 1).float().cpu().numpy()

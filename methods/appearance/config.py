@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["AS_PUBLISHED", "CORRECTED", "PRESETS", "Config", "Quirks"]
+from ...datasets.collection import nearest
+
+__all__ = ["AS_PUBLISHED", "CORRECTED", "PRESETS", "Config", "Quirks", "quirks_named"]
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,29 @@ class Quirks:
     """The structural part of the silhouette loss compares colours once more instead of alpha with the mask."""
     depth_everywhere: bool = True
     """The depth loss also counts pixels outside the object and those that the sensor gave nothing for, as if their depth were 0 m."""
+    large_pruned: bool = True
+    """Gaussians wider than a tenth of the camera extent are removed after step 3000, needed or not."""
+    half_pixel: bool = True
+    """The rasteriser counts pixel centres from 0.5 and the cameras from 0, so all is drawn half a pixel too far up and left."""
 
 
 AS_PUBLISHED = Quirks()
 CORRECTED = Quirks(**{name: False for name in Quirks.__dataclass_fields__})
+_NAMED = {"as-published": AS_PUBLISHED, "corrected": CORRECTED}
+
+
+def quirks_named(name: str) -> Quirks:
+    """The switches that ``name`` stands for: "corrected" for none, "as-published" for all, else those it names, joined by "+".
+
+    Raises ValueError with the nearest known name for an unknown one.
+    """
+    if name in _NAMED:
+        return _NAMED[name]
+    switches, known = name.split("+"), (*_NAMED, *Quirks.__dataclass_fields__)
+    for one in switches:
+        if one not in Quirks.__dataclass_fields__:
+            raise ValueError(f"unknown appearance {one!r}; {nearest(one, known)}")
+    return Quirks(**{field: field in switches for field in Quirks.__dataclass_fields__})
 
 
 @dataclass(frozen=True)
@@ -51,6 +72,7 @@ class Config:
     densify_gradient mean gradient of the image centre [per half image] from which a Gaussian is cloned or split
     split_size       share of the camera extent above which it is split rather than cloned (3DGS: 0.01)
     prune_opacity    below which it is removed
+    prune_size       share of the camera extent above which it is removed, with ``large_pruned``, after step ``prune_size_from`` (3DGS)
     reset_every      steps after which opacities are cut down to ``reset_opacity`` (3DGS: twice ``prune_opacity``), None for never
     structural       share of 1 - SSIM in the colour and silhouette losses, the rest is L1 (3DGS: 0.2)
     silhouette       weight of the silhouette loss
@@ -74,6 +96,8 @@ class Config:
     densify_gradient: float = 2e-4
     split_size: float = 0.01
     prune_opacity: float = 0.005
+    prune_size: float = 0.1
+    prune_size_from: int = 3000
     reset_every: int | None = 3000
     reset_opacity: float = 0.01
     structural: float = 0.2
@@ -84,6 +108,8 @@ class Config:
 
 PRESETS = {
     # the published schedule shortened; opacity needs some 300 steps at its rate to come back from a reset, so there is none
-    "quick": Config(iterations=600, degree_every=100, densify_from=100, densify_every=100, positions_span=600, reset_every=None),
+    "quick": Config(
+        iterations=600, degree_every=100, densify_from=100, densify_every=100, positions_span=600, prune_size_from=180, reset_every=None
+    ),
     "full": Config(),
 }

@@ -62,11 +62,11 @@ def _run(growing, views, seen, config, quirks, order, progress):
         k = ahead.pop()
         camera = views[k].camera
         degree = min(config.degree, step // config.degree_every)
-        colour, alpha, depth, centres = draw(growing.gaussians(degree), camera)
+        colour, alpha, depth, centres = draw(growing.gaussians(degree), camera, half_pixel=quirks.half_pixel)
         view_loss(colour, alpha, depth, seen[k], config, quirks).backward()
         growing.step(step, centres, camera.width, camera.height)
         if step > config.densify_from and step % config.densify_every == 0 and step < config.iterations:
-            growing.densify()
+            growing.densify(prune_large=quirks.large_pruned and step > config.prune_size_from)
         if config.reset_every and step % config.reset_every == 0 and step < config.iterations:
             growing.reset_opacities()
         if progress is not None and (step % 50 == 0 or step == config.iterations):

@@ -59,8 +59,8 @@ class Growing:
         self.adam.zero_grad(set_to_none=True)
 
     @torch.no_grad()
-    def densify(self) -> None:
-        """Clone the small and split the large Gaussians that the images pull at, and remove the faint ones."""
+    def densify(self, *, prune_large: bool = False) -> None:
+        """Clone the small and split the large Gaussians that the images pull at, and remove the faint and, if asked to, the huge ones."""
         c = self.config
         pulled = self._pull / self._seen.clamp(min=1) > c.densify_gradient
         large = self["log_scales"] > log(c.split_size * self.extent)
@@ -76,9 +76,12 @@ class Growing:
             noise = torch.randn(parts, 3, generator=self.generator).to(self["positions"])
             self["positions"][where] += self["log_scales"][where].exp()[:, None] * noise
             self["log_scales"][where] -= log(SHRINK)
-        solid = torch.nonzero(torch.sigmoid(self["logits"]) >= c.prune_opacity).squeeze(1)
-        if 0 < len(solid) < len(self):
-            self._select(solid)
+        kept = torch.sigmoid(self["logits"]) >= c.prune_opacity
+        if prune_large:
+            kept &= self["log_scales"] <= log(c.prune_size * self.extent)
+        index = torch.nonzero(kept).squeeze(1)
+        if 0 < len(index) < len(self):
+            self._select(index)
         self._forget()
 
     @torch.no_grad()

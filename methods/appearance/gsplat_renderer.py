@@ -6,11 +6,9 @@ import importlib.util
 
 import torch
 
-from .splats import BLUR, NEAR, Viewpoint
+from .splats import BLUR, NEAR, PIXEL, Viewpoint
 
 __all__ = ["available", "draw"]
-
-PIXEL = 0.5  # gsplat's pixel centres lie at half-integers, ours at integers
 
 
 def available() -> bool:

@@ -19,16 +19,17 @@ RENDERERS = ("auto", "torch", "gsplat")
 THIN = 1e-10  # alpha below which an expected depth is not divided by it (gsplat)
 
 
-def render(gaussians: Gaussians, camera: Camera, *, renderer: str = "auto", background=0.0, depth: bool = False):
+def render(gaussians: Gaussians, camera: Camera, *, renderer: str = "auto", background=0.0, depth: bool = False, half_pixel: bool = False):
     """RGBA (H, W, 4) of what ``camera`` sees, of the Gaussians' type and on their device, differentiable in all their fields.
 
     RGB is the blended colour over ``background`` (a number or three), so multiplied by alpha over black; it can exceed 1. With ``depth``
     also the expected depth (H, W) along the optical axis [m], sum w z / sum w, 0 where nothing is drawn.
 
     ``renderer``: "torch" draws anywhere; "gsplat" needs a CUDA device and the optional package of that name; "auto" takes gsplat where
-    both are there. Raises ValueError for another name, ImportError where gsplat is asked for and missing.
+    both are there. ``half_pixel`` is the switch of that name in ``Quirks``. Raises ValueError for another renderer, ImportError where
+    gsplat is asked for and missing.
     """
-    colour, alpha, expected, _ = draw(gaussians, camera, renderer=renderer)
+    colour, alpha, expected, _ = draw(gaussians, camera, renderer=renderer, half_pixel=half_pixel)
     image = torch.cat([colour + (1 - alpha) * torch.as_tensor(background, dtype=colour.dtype, device=colour.device), alpha], -1)
     return (image, expected) if depth else image
 
@@ -42,11 +43,11 @@ def chosen(renderer: str, device: torch.device) -> str:
     return renderer
 
 
-def draw(gaussians: Gaussians, camera: Camera, *, renderer: str = "auto"):
+def draw(gaussians: Gaussians, camera: Camera, *, renderer: str = "auto", half_pixel: bool = False):
     """Blended colour (H, W, 3) over black, alpha (H, W, 1), expected depth (H, W), and the image centres (G, 2) px or (1, G, 2), which keep
     their gradient after a backward pass."""
     g = gaussians
-    view = Viewpoint.of(camera, g.positions)
+    view = Viewpoint.of(camera, g.positions, half_pixel=half_pixel)
     directions = g.positions - view.centre
     if g.rotations is not None:
         directions = rotated(g.rotations * g.rotations.new_tensor([1, -1, -1, -1]), directions)

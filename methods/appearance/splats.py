@@ -9,10 +9,11 @@ import torch
 
 from ...datasets.scenario import Camera
 
-__all__ = ["BLUR", "NEAR", "Splats", "Viewpoint", "project"]
+__all__ = ["BLUR", "NEAR", "PIXEL", "Splats", "Viewpoint", "project"]
 
 BLUR = 0.3  # px^2, added to both variances so that no splat is thinner than a pixel (3DGS; gsplat's eps2d)
 NEAR = 0.01  # m: what is nearer to the camera is not drawn (gsplat's near plane)
+PIXEL = 0.5  # px: gsplat's pixel centres lie at half-integers, those of cameras at integers
 MARGIN = 0.3  # of half the field of view, beyond which the slant of the projection no longer grows (gsplat, as 3DGS)
 
 
@@ -27,9 +28,11 @@ class Viewpoint:
     height: int
 
     @classmethod
-    def of(cls, camera: Camera, like: torch.Tensor) -> Viewpoint:
-        pose = camera.camera_to_world
-        arrays = (camera.intrinsics, np.ascontiguousarray(pose[:3, :3].T), pose[:3, 3])
+    def of(cls, camera: Camera, like: torch.Tensor, *, half_pixel: bool = False) -> Viewpoint:
+        """Of the type and on the device of ``like``; with ``half_pixel`` it sees all half a pixel too far up and left, as published."""
+        pose, intrinsics = camera.camera_to_world, np.array(camera.intrinsics, float)
+        intrinsics[:2, 2] -= PIXEL if half_pixel else 0
+        arrays = (intrinsics, np.ascontiguousarray(pose[:3, :3].T), pose[:3, 3])
         return cls(*(torch.tensor(a, dtype=like.dtype, device=like.device) for a in arrays), camera.width, camera.height)
 
 

@@ -70,9 +70,10 @@ def _given(read, camera):
 
 
 def _widened(mask, pixels):
+    """By a square of ``pixels``; one of an even number reaches a pixel farther right and down, as OpenCV's does (published)."""
     from scipy.ndimage import binary_dilation
 
-    return binary_dilation(mask, np.ones((pixels, pixels), bool))
+    return binary_dilation(mask, np.ones((pixels, pixels), bool), origin=pixels % 2 - 1)
 
 
 def starting_points(observed: Observed, views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:

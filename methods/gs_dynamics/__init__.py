@@ -76,6 +76,7 @@ class GSDynamicsAsPublished(GSDynamics):
     """The same with every quirk of the published code."""
 
     name = "gs-dynamics-as-published"
+    appearance = "as-published"
     presets: ClassVar = {name: replace(config, quirks=AS_PUBLISHED) for name, config in GSDynamics.presets.items()}
 
 

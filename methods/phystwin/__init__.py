@@ -94,6 +94,7 @@ class PhysTwinAsPublished(PhysTwin):
     """Both stages with every quirk of the reference implementation. On a CPU a matter of hours."""
 
     name = "phystwin-as-published"
+    appearance = "as-published"
     presets: ClassVar = {
         "quick": Config(quirks=AS_PUBLISHED, iterations=2, population=4, epochs=2, recordings=1),
         "full": Config(quirks=AS_PUBLISHED),

@@ -46,6 +46,10 @@ class Quirks:
     """Words in the source's name say whether a transferred body's colours are matched, and whether it is cloth, which is not bent."""
     rough_registration: bool = True
     """A transferred body is laid by closest points within 2 cm, or their colours, and bent at most once, by what is more than 2 cm off."""
+    interior_registered: bool = True
+    """A transferred body is laid by all its particles on all the target's, those inside too, which are mere samples of it."""
+    unscored_start: bool = True
+    """The published start is no candidate: the search returns the best of what it drew, even where the start is better."""
 
 
 AS_PUBLISHED = Quirks()

@@ -27,30 +27,33 @@ def laid(body: Body, home: Place, place: Place, quirks: Quirks) -> np.ndarray:
 
     Laid rigidly, by shape and colours, then bent as little as the points ask for, unless it is cloth (which collides with itself, or is a
     sheet), and lifted onto the ground. With ``named_transfer`` and ``rough_registration`` as published, but for what stands in for matched
-    image features: see ``registration`` and ``bend_once``. Coloured closest points are left to that mode: on the sample, of 350 particles
-    7 mm apart, they move a body that lies right to within 0.3 mm by 5 cm.
+    image features: see ``registration`` and ``bend_once``; with ``interior_registered`` interior points of both take part too. Coloured
+    closest points are left to that mode: on the sample, of 350 particles 7 mm apart, they move a body that lies right to within 0.3 mm by
+    5 cm.
     """
-    structure, surface = home.structure, sum(home.counts[:2])
-    cloud = place.structure[: sum(place.counts[:2])]
-    ours, theirs = _colors(home), _colors(place)
-    hues = dict(colors=ours, cloud_colors=theirs)
+    structure = home.structure
+    parts = 3 if quirks.interior_registered else 2
+    (laid, ours), (cloud, theirs) = _first(home, parts), _first(place, parts)
     cloth = self_collides(home.name) if quirks.named_transfer else home.self_collision or is_sheet(home.structure)
-    lying = align(structure, cloud, surface=surface, **hues)
+    lying = align(structure, cloud, surface=len(laid), colors=ours, cloud_colors=theirs)
     if quirks.rough_registration:
         named = quirks.named_transfer and any(word in home.name for word in COLOURED)
         by_color = named and ours is not None and theirs is not None
-        lying = colored(lying, ours, cloud, theirs) if by_color else point_to_point(lying, cloud, surface=surface)
-        lying = lying if cloth else bend_once(lying, body.springs, cloud, surface=surface)
+        lying = colored(lying, ours, cloud, theirs) if by_color else point_to_point(lying, cloud, surface=len(laid))
+    (outside, ours), (cloud, theirs) = _first(home, 2), _first(place, 2)
+    if quirks.rough_registration and not cloth:
+        lying = bend_once(lying, body.springs, cloud, surface=len(outside))
     elif not cloth:
-        lying = bend(lying, body.springs, cloud, surface=surface, spacing=_spacing(structure), **hues)
+        hues = dict(colors=ours, cloud_colors=theirs)
+        lying = bend(lying, body.springs, cloud, surface=len(outside), spacing=_spacing(structure), **hues)
     return lifted(lying, None if place.ground is None else Plane(np.array(place.ground[:3]), place.ground[3]))
 
 
-def _colors(place):
-    """(N + S, 3) RGB of tracked and surface points, NaN where unknown; None where nothing is known."""
-    if place.colors is None:
-        return None
-    return np.concatenate([place.colors, np.full((place.counts[1], 3), np.nan)])
+def _first(place, parts):
+    """The first ``parts`` of tracked, surface and interior points (K, 3) [m], and their RGB, NaN where unknown; None if nowhere known."""
+    points = place.structure[: sum(place.counts[:parts])]
+    unknown = np.full((sum(place.counts[1:parts]), 3), np.nan)
+    return points, None if place.colors is None else np.concatenate([place.colors, unknown])
 
 
 def _spacing(structure):

@@ -31,7 +31,8 @@ def search(
     progress: Callable[[str, float], None] | None = None,
     added: Sequence[Term] = (),
 ) -> dict[str, float]:
-    """The best parameters ever evaluated, the published start included; with ``added`` physics, how much of it is searched as well."""
+    """The best parameters ever evaluated, the published start among them unless ``unscored_start``; with ``added`` physics, how much of
+    it is searched as well."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # cma's remark that it could not draw
         import cma
@@ -50,7 +51,7 @@ def search(
     if config.population:
         options["popsize"] = config.population
     strategy = cma.CMAEvolutionStrategy(start, SIGMA, options)
-    best = (costs([base], places, losses, config, device, added)[0], base)
+    best = (np.inf if config.quirks.unscored_start else costs([base], places, losses, config, device, added)[0], base)
     for generation in range(config.iterations):
         units = strategy.ask()
         candidates = [decode(u) for u in units]

@@ -109,6 +109,7 @@ class SpringGausAsPublished(SpringGaus):
     """The same with every quirk of the augmented reference."""
 
     name = "spring-gaus-as-published"
+    appearance = "as-published"
     presets: ClassVar = {"quick": Config(quirks=AS_PUBLISHED, **_QUICK), "full": Config(quirks=AS_PUBLISHED)}
 
 
