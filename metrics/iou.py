@@ -36,8 +36,10 @@ class IoU(ImageMetric):
 
 
 class CorrectedIoU(IoU):
-    """Intersection over union without the human region in either, in the camera's own view, mean over recordings; frames in which nothing
-    of the object is to be seen are left out and counted."""
+    """Intersection over union without the human region in either, in the camera's own view, mean over recordings.
+
+    Frames in which nothing of the object is to be seen are left out and counted.
+    """
 
     name, corrected = "iou_corrected", True
 

@@ -86,7 +86,8 @@ def test_one_gaussian_is_its_closed_form():
 
 
 def test_as_published_all_is_drawn_half_a_pixel_off():
-    # published: pixel (row, column) is at (column + 0.5, row + 0.5), while the camera's matrix is one for pixel centres at integers. A Gaussian at u, v between pixels: alpha = o exp(-d V^-1 d / 2) with d = (column + 0.5 - u, row + 0.5 - v)
+    # published: pixel (row, column) is at (column + 0.5, row + 0.5), while cameras have pixel centres at integers. A Gaussian at u, v
+    # between pixels: alpha = o exp(-d V^-1 d / 2) with d = (column + 0.5 - u, row + 0.5 - v)
     f, z, sigma, opacity, (x, y) = 80.0, 0.9, 0.02, 0.7, (0.0123, -0.0071)
     camera = Camera([[f, 0, 15.2], [0, f, 10.4], [0, 0, 1]], np.eye(4), 32, 20)
     u, v = f * x / z + 15.2, f * y / z + 10.4
