@@ -1,5 +1,6 @@
 """Appearance: the renderer against closed forms and a per-pixel loop, skinning against rigid motions, the fit against the sample."""
 
+import json
 from dataclasses import replace
 from math import atan2, degrees, exp, log
 
@@ -571,6 +572,10 @@ def test_a_saved_appearance_draws_the_same(sample, fitted, tmp_path):
     image = fitted.animate(still).image(sample.cameras[0], 1)
     assert np.array_equal(image, again.animate(still).image(sample.cameras[0], 1))
     assert image.shape == (40, 54, 4) and image.dtype == np.float32 and image.min() >= 0 and 0.9 < image[..., 3].max() <= 1
+    about = json.loads((tmp_path / "appearance.json").read_text())
+    del about["quirks"]["half_pixel"]  # saved before there was such a switch
+    (tmp_path / "appearance.json").write_text(json.dumps(about))
+    assert Appearance.load(tmp_path).quirks == CORRECTED == fitted.quirks
     for file in ("gaussians.npz", "appearance.json"):
         (tmp_path / file).write_bytes(b"damaged")
         with pytest.raises(ValueError, match=file):
@@ -665,8 +670,8 @@ def test_wrong_shapes_are_refused():
 
 
 @pytest.mark.gpu
-@pytest.mark.parametrize("degree", [0, 3])
-def test_gsplat_agrees_with_the_torch_renderer(degree):
+@pytest.mark.parametrize(("degree", "half_pixel"), [(0, False), (3, False), (3, True)])
+def test_gsplat_agrees_with_the_torch_renderer(degree, half_pixel):
     """Values and gradients; gsplat works in float32 with fast exponentials."""
     if not torch.cuda.is_available():
         pytest.skip("no CUDA device")
@@ -677,7 +682,7 @@ def test_gsplat_agrees_with_the_torch_renderer(degree):
     for renderer in ("torch", "gsplat"):
         made = cloud(2000, degree=degree, camera=camera, size=0.01, dtype=torch.float32)
         g = Gaussians(*(getattr(made, n).cuda().requires_grad_() for n in FIELDS))
-        colour, alpha, depth, centres = draw(g, camera, renderer=renderer)
+        colour, alpha, depth, centres = draw(g, camera, renderer=renderer, half_pixel=half_pixel)
         ((colour * weights[..., :3]).sum() + (alpha * weights[..., 3:4]).sum() + (depth * weights[..., 4]).sum()).backward()
         grads = {n: getattr(g, n).grad for n in FIELDS} | {"centres": centres.grad.reshape(-1, 2)}
         results[renderer] = torch.cat([colour, alpha, depth[..., None]], -1).detach(), grads

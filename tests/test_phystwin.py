@@ -3,6 +3,7 @@
 Recordings here are simulated by the engine from a known body: these are tests of the optimisers, not of how well twins describe the world.
 """
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -552,6 +553,14 @@ def test_a_saved_twin_rolls_out_to_the_same_bits(twin, lift, tmp_path):
         again = PhysTwinTwin.load(tmp_path)
         assert again.config == one.config and again.transferred == one.transferred and again.body.values == one.body.values
         np.testing.assert_array_equal(again.rollout(lift.controllers).positions, one.rollout(lift.controllers).positions)
+
+
+def test_a_twin_that_was_saved_before_a_switch_was_there_does_without(twin, tmp_path):
+    replace(twin, config=replace(FAST, quirks=AS_PUBLISHED)).save(tmp_path)
+    state = json.loads((tmp_path / "twin.json").read_text())
+    del state["config"]["quirks"]["interior_registered"]
+    (tmp_path / "twin.json").write_text(json.dumps(state))
+    assert PhysTwinTwin.load(tmp_path).config.quirks == replace(AS_PUBLISHED, interior_registered=False)
 
 
 def test_the_twin_of_the_truth_is_the_recording(twin, lift):

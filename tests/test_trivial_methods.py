@@ -127,16 +127,17 @@ def test_registry_finds_methods_by_name():
     for name, method in found.items():
         assert isinstance(method(), Method) and method().name == name
         assert method.__doc__ == inspect.cleandoc(type(method()).__doc__)
-        assert method.reads_images == method().reads_images
+        assert (method.reads_images, method.appearance) == (method().reads_images, method().appearance)
         assert set(method.reads_images) <= {"color", "depth", "mask", "human_mask"}
         if base := method().builds_on:
             assert set(found[base].reads_images) <= set(method.reads_images)
 
 
 def test_names_are_read_without_importing():
-    looks = 'class B(A):\n    name = "b"\n    reads_images = ("mask",)\nclass C(B):\n    name = "c"\n'
+    looks = 'class B(A):\n    name = "b"\n    reads_images = ("mask",)\n    appearance = "as-published"\nclass C(B):\n    name = "c"\n'
     source = f'import an_engine_that_is_not_here\nclass A:\n    """Says."""\n    name = "a"\n{looks}METHODS = (A, B, C)'
-    assert declared(source) == {"a": Declared("A", "Says."), "b": Declared("B", None, ("mask",)), "c": Declared("C", None, ("mask",))}
+    images = {name.lower(): Declared(name, None, ("mask",), "as-published") for name in "BC"}
+    assert declared(source) == {"a": Declared("A", "Says.", (), "corrected"), **images}
     assert declared("x = 1") == declared("METHODS = ()") == {}
 
 

@@ -89,7 +89,7 @@ class Appearance:
         file = Path(folder) / "appearance.json"
         try:
             about = json.loads(file.read_text(encoding="utf-8"))
-            quirks, device = Quirks(**about["quirks"]), device or about["device"]
+            quirks, device = Quirks(**asdict(CORRECTED) | about["quirks"]), device or about["device"]  # without the switches of later
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ValueError(f"{file}: not a saved appearance ({error})") from error
         return cls(Gaussians.load(Path(folder) / "gaussians.npz"), quirks, device)

@@ -13,7 +13,7 @@ from ...physics import terms
 from ..base import Diverged, Trajectory, Twin
 from . import transfer
 from .body import Body, Place, roll, system
-from .config import Config, Quirks
+from .config import CORRECTED, Config, Quirks
 
 __all__ = ["PhysTwinTwin"]
 
@@ -84,7 +84,8 @@ class PhysTwinTwin(Twin):
         if rest["ground"] is not None:
             rest["ground"] = tuple(rest["ground"])
         place = Place(**{k: a[k] for k in ("structure", "controllers", "grips", "gravity", "colors") if k in a}, **rest)
-        config = Config(**state["config"] | {"quirks": Quirks(**state["config"]["quirks"])})
+        quirks = Quirks(**asdict(CORRECTED) | state["config"]["quirks"])  # a twin that was saved earlier does without later switches
+        config = Config(**state["config"] | {"quirks": quirks})
         return cls(body, place, config, state["device"], state["transferred"])
 
 
