@@ -33,7 +33,7 @@ class Quirks:
     depth_everywhere: bool = True
     """The depth loss also counts pixels outside the object and those that the sensor gave nothing for, as if their depth were 0 m."""
     large_pruned: bool = True
-    """Gaussians wider than a tenth of the camera extent are removed after step 3000, needed or not."""
+    """Gaussians whose standard deviation is above a tenth of the camera extent are removed after step 3000, needed or not."""
     half_pixel: bool = True
     """The rasteriser counts pixel centres from 0.5 and the cameras from 0, so all is drawn half a pixel too far up and left."""
 

@@ -47,7 +47,7 @@ class Quirks:
     rough_registration: bool = True
     """A transferred body is laid by closest points within 2 cm, or their colours, and bent at most once, by what is more than 2 cm off."""
     interior_registered: bool = True
-    """A transferred body is laid by all its particles on all the target's, those inside too, which are mere samples of it."""
+    """A transferred body is laid by all particles of both recordings, also by those inside, which are drawn at random in each."""
     unscored_start: bool = True
     """The published start is no candidate: the search returns the best of what it drew, even where the start is better."""
 
