@@ -77,11 +77,11 @@ def prune(cache: Cache, *, older_than: float | None = None, dry_run: bool = Fals
 
     Nothing is removed in a ``dry_run``.
     """
+    for _, size in cache.sweep(dry=dry_run):
+        yield "temporary", size, "left by a run that was killed"
     upkeep = Upkeep(cache, older_than=older_than)
     for entry in list(cache.entries()):
         if why := upkeep.unused(entry):
             if not dry_run:
                 cache.drop(entry)
             yield entry.kind, entry.bytes, why
-    for _, size in cache.sweep(dry=dry_run):
-        yield "temporary", size, "left by a run that was killed"
