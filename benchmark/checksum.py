@@ -1,4 +1,4 @@
-"""What goes into the cache's keys: the content of recordings and the source code that worked on them.
+"""What goes into the cache's keys: the content of recordings.
 
 Hashing recordings needs reading them, which takes longer than a cached run may; so the hashes of a folder's recordings are remembered
 as long as none of its files changes.
@@ -7,20 +7,16 @@ as long as none of its files changes.
 from __future__ import annotations
 
 import hashlib
-import inspect
 from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
-from functools import cache, partial
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
 from ..datasets.scenario import Images, Scenario
-from .cache import Cache, digest
+from .cache import Cache
 
-__all__ = ["Checksums", "checksum", "code", "image_checksum", "method_code", "observed_checksum"]
-
-_PACKAGE = Path(__file__).resolve().parents[1]
+__all__ = ["Checksums", "checksum", "image_checksum", "images_of", "observed_checksum", "observed_of"]
 
 
 def checksum(scenario: Scenario) -> str:
@@ -84,32 +80,11 @@ def _feed(state, value) -> None:
         state.update(f"{type(value).__name__} {value!r};".encode())
 
 
-@cache
-def code(*rooms: str) -> str:
-    """Hexadecimal SHA-256 of every Python file in these rooms of the package, and of the numbers (JSON) that they read."""
-    return _hash(sorted(file for room in rooms for kind in ("*.py", "*.json") for file in (_PACKAGE / room).rglob(kind)))
-
-
-def method_code(method: Callable) -> str:
-    """Hexadecimal SHA-256 of what a fit depends on: ``physics/``, ``methods/``, the method's own room, or a plug-in's own file."""
-    shared = code(*dict.fromkeys(("physics", "methods", getattr(method, "room", "methods"))))
-    try:
-        file = Path(inspect.getsourcefile(method) or "").resolve()
-    except TypeError:
-        return shared
-    return shared if not file.is_file() or _PACKAGE / "methods" in file.parents else digest(shared, _hash([file]))
-
-
-def _hash(files) -> str:
-    state = hashlib.sha256()
-    for file in files:
-        state.update(f"{file.name}\n".encode())
-        state.update(file.read_bytes())
-    return state.hexdigest()
-
-
 class Checksums:
-    """Checksums of recordings by name, and of their images, remembered in ``cache`` under ``key`` where there is one."""
+    """Checksums of recordings by name, and of their images by ``images_of`` and ``observed_of`` that name.
+
+    They are remembered in ``cache`` under ``key`` where there is one.
+    """
 
     def __init__(self, cache: Cache, key: str | None = None):
         self._cache, self._key = cache, key
@@ -119,31 +94,28 @@ class Checksums:
         """Read with ``load`` those recordings of which a checksum is not known yet: of the arrays, with ``images`` of the images that are
         looked at, and of those kinds of images that a fit sees, ``fitted``.
         """
-        kinds = {"": checksum, **({_IMAGES: image_checksum} if images else {})}
-        if fitted := tuple(fitted):
-            kinds[_observed(fitted)] = partial(observed_checksum, kinds=fitted)
-        unknown = [name for name in dict.fromkeys(names) if any(f"{name}{kind}" not in self._known for kind in kinds)]
+        fitted = tuple(fitted)
+        wanted = {str: checksum, **({images_of: image_checksum} if images else {})}
+        if fitted:
+            wanted[partial(observed_of, kinds=fitted)] = partial(observed_checksum, kinds=fitted)
+        unknown = [name for name in dict.fromkeys(names) if any(of(name) not in self._known for of in wanted)]
         for name in unknown:
             scenario = load(name)
-            for kind, compute in kinds.items():
-                self._known[f"{name}{kind}"] = compute(scenario)
+            for of, compute in wanted.items():
+                self._known[of(name)] = compute(scenario)
         if unknown and self._key is not None:
             self._cache.write("checksums", self._key, self._known)
 
     def __getitem__(self, name: str) -> str:
+        """The checksum of a recording, or of its ``images_of`` or ``observed_of``, which was learnt."""
         return self._known[name]
 
-    def images(self, name: str) -> str:
-        """The checksum of the images of a recording whose images were learnt."""
-        return self._known[f"{name}{_IMAGES}"]
 
-    def observed(self, name: str, kinds: Iterable[str]) -> str:
-        """The checksum of what a fit sees of these kinds of images, which were learnt."""
-        return self._known[f"{name}{_observed(kinds)}"]
+def images_of(name: str) -> str:
+    """The name by which the images of a recording are known."""
+    return f"{name}\nimages"  # no recording's name holds a line break
 
 
-_IMAGES = "\nimages"  # no recording's name holds a line break
-
-
-def _observed(kinds: Iterable[str]) -> str:
-    return f"\nobserved {' '.join(sorted(kinds))}"
+def observed_of(name: str, kinds: Iterable[str]) -> str:
+    """The name by which what a fit sees of these kinds of images is known."""
+    return f"{name}\nobserved {' '.join(sorted(kinds))}"

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.metadata import version
+from typing import ClassVar
 
 import tyro
 
@@ -19,14 +21,29 @@ __all__ = ["main"]
 class Challenge:
     """Make, answer, open and score a sealed challenge: twinbench challenge make | answer | open | score."""
 
+    commands: ClassVar = ".challenge.commands"
+
     def __call__(self) -> int:
         raise ValueError("twinbench challenge needs one of make, answer, open, score")
+
+
+@dataclass(frozen=True)
+class Cache:
+    """List what is remembered, explain why it is computed again, prune what nothing needs: twinbench cache list | explain | prune."""
+
+    commands: ClassVar = ".commands.cache"
+
+    def __call__(self) -> int:
+        raise ValueError("twinbench cache needs one of list, explain, prune")
+
+
+GROUPS = {"challenge": Challenge, "cache": Cache}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    commands = COMMANDS | {"challenge": Challenge}
+    commands = COMMANDS | GROUPS
     try:
         if arguments == ["--version"]:
             print(f"twinbench {version('twinbench')}")
@@ -34,10 +51,10 @@ def main(arguments: list[str] | None = None) -> int:
         if arguments and not arguments[0].startswith("-"):
             known("command", arguments[:1], commands)
         says, prog = "Benchmark and diagnosis of physical digital twins of deformable objects.", "twinbench"
-        if arguments[:1] == ["challenge"]:
-            from .challenge.commands import COMMANDS as commands
-
-            says, prog, arguments = Challenge.__doc__, "twinbench challenge", arguments[1:]
+        if arguments and arguments[0] in GROUPS:
+            group = GROUPS[arguments[0]]
+            commands = import_module(group.commands, __package__).COMMANDS
+            says, prog, arguments = group.__doc__, f"twinbench {arguments[0]}", arguments[1:]
             if arguments and not arguments[0].startswith("-"):
                 known("command", arguments[:1], commands)
         command = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)

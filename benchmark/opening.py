@@ -14,12 +14,14 @@ from functools import partial
 from pathlib import Path
 
 from ..datasets import collection as collections
-from ..datasets.collection import Collection, TransferPair, open_collection
+from ..datasets.collection import Collection, TransferPair, layouts, open_collection
 from ..datasets.scenario import Scenario
+from ..methods.modules import modules_of
 from .cache import Cache, digest
-from .checksum import code
+from .origin import Origin
+from .sources import SOURCES
 
-__all__ = ["Opened", "folder_of", "listing", "open_recordings", "open_scenario"]
+__all__ = ["Opened", "description_origin", "folder_of", "listing", "open_recordings", "open_scenario"]
 
 LEVELS = 4  # a recording's name may be so deep below its folder
 
@@ -72,11 +74,11 @@ def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:
     if not folder.exists():
         raise ValueError(f"no recordings at {folder}: no such file or folder")
     read = once(lambda: open_collection(path, split=split))
-    key = digest(listing(folder), split, code("datasets"))
-    known = cache.read("collections", key)
+    origin = description_origin(folder, split)
+    known = cache.read("collections", origin.key)
     if known is None:
         known = _description(read())
-        cache.write("collections", key, known)
+        cache.write("collections", origin.key, known, origin.made)
     remembered = Collection(
         name=known["name"],
         scenarios={name: partial(lambda name: read().load(name), name) for name in known["scenarios"]},
@@ -85,7 +87,16 @@ def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:
         published={tuple(figure): value for *figure, value in known["published"]},
         citation=known["citation"],
     )
-    return Opened(remembered, key, known["note"], split, str(path))
+    return Opened(remembered, origin.key, known["note"], split, str(path))
+
+
+def description_origin(folder: Path, split: str) -> Origin:
+    """What the description of a folder is made from: its listing, and the code of the layout that recognises it."""
+    folder = Path(folder).resolve()
+    layout = next((layout for layout in layouts().values() if layout.matches(folder)), None)
+    modules = modules_of(layout) if layout else (collections.__name__,)
+    inputs = {"listing": listing(folder), "split": split, "code": SOURCES.files(*modules)}
+    return Origin(inputs, {"folder": str(folder), "modules": list(modules)})
 
 
 def _description(collection: Collection) -> dict:

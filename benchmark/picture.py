@@ -52,7 +52,7 @@ class Player(Runner):
             self._held = [self._load(name) for name in fit.sources]
             method, target = self._method(fit.method), self._load(evaluation.target)
             self._refuse(method, [*self._held, target])
-            twin, about = self._twin(method, fit, self._fit_key(fit), progress)
+            twin, about = self._twin(method, fit, progress)
             trajectory, _ = self._roll_out(twin, about, target, evaluation.task == "transfer")
             return self._shown(trajectory, evaluation.target, method.appearance, progress)
         except Stopped as stopped:

@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
-__all__ = ["Bar", "Bytes"]
+__all__ = ["Bar", "Bytes", "say"]
+
+
+def say(text: str) -> None:
+    """A line on standard error, above the bars that are there."""
+    import sys
+
+    from tqdm import tqdm
+
+    tqdm.write(text, file=sys.stderr)
 
 
 class Bar:

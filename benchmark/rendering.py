@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
 
@@ -11,9 +11,11 @@ import numpy as np
 from ..datasets.scenario import Camera, Images, Scenario
 from ..methods.appearance.config import Quirks, quirks_named
 from ..methods.base import Trajectory
+from ..methods.modules import modules_of
 from ..metrics.base import Unscorable
-from .cache import Cache, digest
-from .checksum import code
+from .cache import Cache
+from .origin import Origin
+from .sources import SOURCES
 
 __all__ = ["Appearances", "Recent", "Shown", "appearance_class"]
 
@@ -31,36 +33,44 @@ class Appearances:
     """The appearance of each recording in frame 0, fitted once by the views of that frame for each set of quirks, and kept in the cache.
 
     As in PhysTwin's evaluation (arXiv 2503.17973, section 5) roll-outs of all methods that are shown alike move the same appearance of the
-    recording they are scored on, a transfer's the target's. ``kind()`` is its class: ``fit``, ``load``, ``save`` and ``animate`` as in
-    ``methods/appearance``.
+    recording they are scored on, a transfer's the target's. ``folder`` is where the recordings are, ``kind()`` is its class: ``fit``,
+    ``load``, ``save`` and ``animate`` as in ``methods/appearance``.
     """
 
-    def __init__(self, cache: Cache, *, preset: str, device: str, kind: Callable[[], type] = appearance_class):
-        self._cache, self._preset, self._device, self._kind = cache, preset, device, kind
+    def __init__(self, cache: Cache, *, preset: str, device: str, folder: str = "", kind: Callable[[], type] = appearance_class):
+        self._cache, self._preset, self._device, self._folder, self._kind = cache, preset, device, folder, kind
         self._last: dict[str, tuple[str, object]] = {}
 
-    def of(self, scenario: Scenario, checksums: tuple[str, str], look: str, progress: Callable[[str, float], None]):
-        """The appearance of ``scenario`` with the quirks that ``look`` names; ``checksums`` are those of its arrays and of its images.
+    def of(self, scenario: Scenario, checksums: Mapping[str, str], look: str, progress: Callable[[str, float], None]):
+        """The appearance of ``scenario`` with the quirks that ``look`` names; ``checksums`` are those of its arrays and of its images, by
+        their names.
 
         Raises Unscorable where it can have none, and whatever else stops a fit.
         """
         quirks = quirks_named(look)
-        key = digest("appearance", checksums, code("methods/appearance"), SEED, self._preset, self._device, asdict(quirks))
-        if self._last.get(look, ("",))[0] != key:
+        origin = self._origin(scenario, checksums, look, quirks)
+        if self._last.get(look, ("",))[0] != origin.key:
             try:
-                self._last[look] = (key, self._read(key) or self._fit(scenario, key, quirks, progress))
+                self._last[look] = (origin.key, self._read(origin.key) or self._fit(scenario, origin, quirks, progress))
             except ValueError as error:
-                self._last[look] = (key, Unscorable(f"the recording has no appearance: {error}"))
+                self._last[look] = (origin.key, Unscorable(f"the recording has no appearance: {error}"))
         found = self._last[look][1]
         if isinstance(found, Unscorable):
             raise Unscorable(str(found))
         return found
 
-    def _fit(self, scenario: Scenario, key: str, quirks: Quirks, progress):
+    def _origin(self, scenario: Scenario, checksums: Mapping[str, str], look: str, quirks: Quirks) -> Origin:
+        modules = modules_of(self._kind())
+        inputs = {"code": SOURCES.files(*modules), "data": list(checksums.values()), "method": asdict(quirks)}
+        inputs |= {"look": look, "seed": SEED, "preset": self._preset, "device": self._device}
+        subject = {"recordings": [scenario.name], "folder": self._folder, "data": list(checksums), "modules": list(modules)}
+        return Origin(inputs, subject)
+
+    def _fit(self, scenario: Scenario, origin: Origin, quirks: Quirks, progress):
         options = {"preset": self._preset, "seed": SEED, "device": self._device, "progress": progress, "quirks": quirks}
         fitted = self._kind().fit(scenario.initial(), **options)
-        self._cache.write_folder("appearances", key, fitted.save, {})
-        return self._read(key) or fitted
+        self._cache.write_folder("appearances", origin.key, fitted.save, {}, origin.made)
+        return self._read(origin.key) or fitted
 
     def _read(self, key: str):
         """The appearance as the cache holds it, so that a resumed run and an uninterrupted one draw the same."""

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from weakref import WeakValueDictionary
 
 import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..methods.base import Budget, Method, Trajectory, Twin
+from ..methods.modules import modules_of
 from ..methods.registry import methods as known_methods
 from ..metrics.base import Metric, scores
 from .cache import Cache, digest
-from .checksum import Checksums, code, method_code
-from .opening import Opened
+from .checksum import Checksums, images_of, observed_of
+from .opening import Opened, folder_of
+from .origin import Forerunners, Origin
 from .plan import Evaluation, Fit, frames
+from .progress import say
 from .provenance import device_name, peak_memory, provenance, reset_peak_memory
 from .rendering import Appearances, Recent, Shown, appearance_class
+from .sources import SOURCES
 from .status import Stopped, as_status
 
 __all__ = ["Runner", "Settings"]
@@ -49,8 +52,8 @@ class Settings:
 class Runner:
     """Computes the rows of one collection.
 
-    A twin is stored under its method and that method's code, the content of its sources, seed, preset and device; a row under its twin,
-    the content of its target, the task, the metrics' code and its appearance. Rows and twins that are there are not computed again.
+    A twin is stored under its method and the code that this imports, the content of its sources, seed, preset and device; a row under its
+    twin, the content of its target, the task, the metrics' code and its appearance. Rows and twins that are there are not computed again.
     Failed rows are not stored: what made them fail (memory, a missing package) may be gone the next time. Nor are rows that lack images
     for such a cause.
     """
@@ -58,21 +61,23 @@ class Runner:
     def __init__(self, opened: Opened, settings: Settings, cache: Cache):
         self.collection, self.split = opened.collection, opened.split
         self.settings, self.cache = settings, cache
+        self._folder = str(folder_of(opened.path).resolve()) if opened.path else ""
         self._checksums = Checksums(cache, opened.key)
         self._loaded: WeakValueDictionary[str, Scenario] = WeakValueDictionary()
         self._held: list[Scenario] = []
-        self._appearances = Appearances(cache, preset=settings.preset, device=settings.device, kind=settings.appearance)
+        options = {"preset": settings.preset, "device": settings.device, "folder": self._folder}
+        self._appearances = Appearances(cache, **options, kind=settings.appearance)
         self._unseen: set[Evaluation] = set()
+        self._forerunners, self._said = Forerunners(cache, "fits"), set()
 
     def run(self, fits: list[Fit], *, progress: Progress = lambda label, fraction: None) -> list[dict]:
         """The rows of ``fits``. ``progress(label, fraction)`` is told what is going on and how much of everything is done.
 
         Raises OSError where the cache cannot be written, ValueError where a recording cannot be read or the device is not there.
         """
-        names = [name for fit in fits for name in (*fit.sources, *(evaluation.target for evaluation in fit.evaluations))]
         progress("reading", 0.0)
-        # here, so that a recording that cannot be read is known before hours of work
-        self._checksums.learn(names, self._load, images=self.settings.images)
+        self.cache.sweep()
+        self.learn(fits)  # here, so that a recording that cannot be read is known before hours of work
         rows = []
         for i, fit in enumerate(fits):
             label = f"{fit.method} on {_short(fit.sources)}"
@@ -85,21 +90,26 @@ class Runner:
         progress("done", 1.0)
         return rows
 
+    def learn(self, fits: Iterable[Fit]) -> None:
+        """Read the recordings of which it is not known yet what they hold. Raises as ``run`` does."""
+        names = [name for fit in fits for name in (*fit.sources, *(evaluation.target for evaluation in fit.evaluations))]
+        self._checksums.learn(names, self._load, images=self.settings.images)
+
     def _rows(self, fit: Fit, report: Progress) -> list[dict]:
         if fit.skip:
             skipped = self._row({"status": "skipped", "reason": fit.skip}, {})
             return [{**self._identity(fit, evaluation), **skipped} for evaluation in fit.evaluations]
-        fit_key = self._fit_key(fit)
-        keys = {evaluation: self._row_key(fit, fit_key, evaluation) for evaluation in fit.evaluations}
-        found = {evaluation: self.cache.read("rows", key) for evaluation, key in keys.items()}
+        origins = {evaluation: self.row_origin(fit, evaluation) for evaluation in fit.evaluations}
+        found = {evaluation: self.cache.read("rows", origin.key) for evaluation, origin in origins.items()}
         missing = [evaluation for evaluation, row in found.items() if row is None]
-        for evaluation, row in self._compute(fit, fit_key, missing, report) if missing else ():
+        for evaluation, row in self._compute(fit, missing, report) if missing else ():
             found[evaluation] = row
             if row["status"] != "failed" and evaluation not in self._unseen:
-                self.cache.write("rows", self._row_key(fit, fit_key, evaluation), row)  # a metric may have turned out to be unavailable
+                origin = self.row_origin(fit, evaluation)  # a metric may have turned out to be unavailable
+                self.cache.write("rows", origin.key, row, origin.made)
         return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
 
-    def _compute(self, fit: Fit, fit_key: str, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
+    def _compute(self, fit: Fit, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
         device_name(self.settings.device)  # raises where it is not there
         try:
             method = self._method(fit.method)
@@ -107,7 +117,7 @@ class Runner:
                 raise Stopped(status="skipped", reason=method.skip_transfer)  # nothing asks for the twin
             self._held = [self._load(name) for name in fit.sources]  # for the next method on the same sources
             self._refuse(method, self._held)
-            twin, about = self._twin(method, fit, fit_key, report)
+            twin, about = self._twin(method, fit, report)
         except Stopped as stopped:
             yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)
             return
@@ -130,22 +140,23 @@ class Runner:
                 if reason := method.skip(scenario):
                     raise Stopped(status="skipped", reason=reason)
 
-    def _twin(self, method: Method, fit: Fit, key: str, report: Progress) -> tuple[Twin, dict]:
+    def _twin(self, method: Method, fit: Fit, report: Progress) -> tuple[Twin, dict]:
         """The fitted twin as the cache holds it, so that a resumed run and an uninterrupted one score the same."""
-        stored = self.cache.read_folder("fits", key)
+        with as_status():
+            twin_class = _twin_class(method)
+        origin = self.origin(fit)
+        stored = self.cache.read_folder("fits", origin.key)
         if stored is None:
-            self._fit(method, fit, key, report)
-            stored = self.cache.read_folder("fits", key)
+            self._fit(method, fit, origin, report)
+            stored = self.cache.read_folder("fits", origin.key)
         if stored is None:
             raise OSError(f"the twin just written to {self.cache.root} cannot be read back")
         folder, about = stored
         with as_status():
-            twin_class = import_module(about["module"])
-            for name in about["class"].split("."):
-                twin_class = getattr(twin_class, name)
             return twin_class.load(folder), about
 
-    def _fit(self, method: Method, fit: Fit, key: str, report: Progress) -> None:
+    def _fit(self, method: Method, fit: Fit, origin: Origin, report: Progress) -> None:
+        self._explain(fit, origin)
         # a yardstick is no method: it is scored on what it has seen, and says so
         observed = self._held if getattr(method, "whole", False) else [scenario.observed() for scenario in self._held]
         settings = self.settings
@@ -154,10 +165,11 @@ class Runner:
         start = time.perf_counter()
         with as_status():
             twin = method.fit(observed, budget=Budget(settings.preset), seed=fit.seed, device=settings.device, progress=report, **options)
+            if not isinstance(twin, promised := _twin_class(method)):
+                raise TypeError(f"fit returned a {type(twin).__name__}, and twin_class of the method is {promised.__name__}")
         about = {"fit_seconds": spent + time.perf_counter() - start, **peak_memory(), "note": twin.note}
-        about |= {"module": type(twin).__module__, "class": type(twin).__qualname__}
         try:
-            self.cache.write_folder("fits", key, twin.save, about)
+            self.cache.write_folder("fits", origin.key, twin.save, about, origin.made)
         except OSError:
             raise
         except Exception:
@@ -169,7 +181,7 @@ class Runner:
         if not method.builds_on:
             return {}, 0.0
         fit = replace(fit, method=method.builds_on)
-        twin, about = self._twin(self._method(fit.method), fit, self._fit_key(fit), report)
+        twin, about = self._twin(self._method(fit.method), fit, report)
         return {"start": twin}, about["fit_seconds"]
 
     def _evaluate(
@@ -214,7 +226,7 @@ class Runner:
 
         def appearance():
             self._checksums.learn([target], self._load, images=True)
-            checksums = self._checksums[target], self._checksums.images(target)
+            checksums = {name: self._checksums[name] for name in (target, images_of(target))}
             told = f"appearance of {target}"
             return self._appearances.of(self._load(target), checksums, look, lambda stage, _: report(f"{told}: {stage}", 1.0))
 
@@ -258,34 +270,86 @@ class Runner:
             "split": self.split,
             "appearance": self._look(fit, evaluation),
             "data_checksum": self._checksums[evaluation.target],
-            "code_checksum": method_code(self.settings.methods[fit.method]),
+            "code_checksum": digest(SOURCES.files(*self._modules(fit.method))),
         }
 
-    def _fit_key(self, fit: Fit) -> str:
-        found = self._found(fit.method)
+    def _modules(self, name: str) -> tuple[str, ...]:
+        """The modules whose code makes a method's twins, with those of the method that it builds on."""
+        found = self._found(name)
+        base = getattr(found, "builds_on", None)
+        return tuple(dict.fromkeys((*modules_of(found), *(self._modules(base) if base else ()))))
+
+    def origin(self, fit: Fit) -> Origin:
+        """What a twin is made from."""
+        found, modules = self._found(fit.method), self._modules(fit.method)
         kinds = tuple(getattr(found, "reads_images", ()))  # plain callables make methods as well
         self._checksums.learn(fit.sources, self._load, fitted=kinds)
-        sources = [[self._checksums[name], *([self._checksums.observed(name, kinds)] if kinds else [])] for name in fit.sources]
-        return digest(getattr(found, "key", fit.method), method_code(found), sources, fit.seed, self.settings.preset, self.settings.device)
+        data = [*fit.sources, *(observed_of(name, kinds) for name in fit.sources if kinds)]
+        inputs = {
+            "method": getattr(found, "key", fit.method),
+            "code": SOURCES.files(*modules),
+            "data": [self._checksums[name] for name in data],
+            "seed": fit.seed,
+            "preset": self.settings.preset,
+            "device": self.settings.device,
+        }
+        return Origin(inputs, self._subject(fit, data, modules))
 
     def _look(self, fit: Fit, evaluation: Evaluation) -> str:
         """Which appearance the twin is shown with; "" where no metric looks at images or there are none."""
-        seen = self.settings.images and self._checksums.images(evaluation.target)
+        seen = self.settings.images and self._checksums[images_of(evaluation.target)]
         return getattr(self._found(fit.method), "appearance", Method.appearance) if seen else ""
 
-    def _row_key(self, fit: Fit, fit_key: str, evaluation: Evaluation) -> str:
-        images = self._checksums.images(evaluation.target) if self.settings.images else ""
-        wanted = {name: metric for name, metric in self.settings.metrics.items() if images or not metric.images}
+    def row_origin(self, fit: Fit, evaluation: Evaluation) -> Origin:
+        """What a row is made from."""
+        origin, metrics = self.origin(fit), self.settings.metrics
+        images = self._checksums[images_of(evaluation.target)] if self.settings.images else ""
+        wanted = {name: metric for name, metric in metrics.items() if images or not metric.images}
         available = [name for name, metric in wanted.items() if metric.unavailable() is None]  # not asked where there are no images
-        metrics = [(name, metric.version, name in available) for name, metric in self.settings.metrics.items()]
-        shown = [images, self._look(fit, evaluation)]
-        return digest(fit_key, evaluation.task, self._checksums[evaluation.target], shown, metrics, code("metrics", "methods/appearance"))
+        shown = modules_of(self.settings.appearance()) if images else ()
+        modules = tuple(dict.fromkeys(module for found in (*map(modules_of, metrics.values()), shown) for module in found))
+        data = [*origin.subject["data"], evaluation.target, *([images_of(evaluation.target)] if images else [])]
+        inputs = {
+            **origin.inputs,
+            "code": origin.inputs["code"] | SOURCES.files(*modules),
+            "data": [self._checksums[name] for name in data],
+            "task": evaluation.task,
+            "look": self._look(fit, evaluation),
+            "metrics": [[name, metric.version, name in available] for name, metric in metrics.items()],
+        }
+        subject = self._subject(fit, data, (*origin.subject["modules"], *modules))
+        return Origin(inputs, subject | {"target": evaluation.target, "task": evaluation.task})
+
+    def _subject(self, fit: Fit, data: Iterable[str], modules: Iterable[str]) -> dict:
+        return {
+            "method": fit.method,
+            "recordings": list(fit.sources),
+            "collection": self.collection.name,
+            "folder": self._folder,
+            "data": list(data),
+            "modules": list(modules),
+        }
+
+    def _explain(self, fit: Fit, origin: Origin) -> None:
+        """Say why a twin is fitted again, once for each reason."""
+        why = self._forerunners.why(origin)
+        if why and (fit.method, why) not in self._said:
+            self._said.add((fit.method, why))
+            say(f"{fit.method} on {_short(fit.sources)}: refitted because {why}")
 
     def _load(self, name: str) -> Scenario:
         scenario = self._loaded.get(name)
         if scenario is None:
             scenario = self._loaded[name] = self.collection.load(name)
         return scenario
+
+
+def _twin_class(method: Method) -> type[Twin]:
+    """What a method says of its twins. Raises TypeError where it says nothing of the kind."""
+    found = getattr(method, "twin_class", None)
+    if not (isinstance(found, type) and issubclass(found, Twin)):
+        raise TypeError(f"twin_class of a method must be the class of the twins that its fit returns, got {found!r}")
+    return found
 
 
 def _short(names: tuple[str, ...]) -> str:

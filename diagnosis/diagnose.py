@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets.scenario import Scenario
+from ..datasets.temporary import replacing
 from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .locate import clusters
@@ -52,13 +52,8 @@ class Diagnosis:
     def write(self, out: str | Path) -> None:
         """Write ``diagnosis.json`` and ``report.html`` into the folder ``out``, each in one rename."""
         out = Path(out)
-        out.mkdir(parents=True, exist_ok=True)
-        temporary = out / f".diagnosis.{uuid.uuid4().hex}"
-        try:
+        with replacing(out / "diagnosis.json") as temporary:
             temporary.write_text(json.dumps(plain(self.result), indent=1, allow_nan=False), encoding="utf-8")
-            temporary.replace(out / "diagnosis.json")
-        finally:
-            temporary.unlink(missing_ok=True)
         nodes = self.result["evidence"]["where_nodes"]
         where = self.result["where"]
         shown = {**self.result, "where": where and {**where, "points": nodes}}

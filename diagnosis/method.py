@@ -47,6 +47,7 @@ class PhysTwinDiagnosed(PhysTwin):
 
     name = "phystwin+diagnosed"
     builds_on = "phystwin"
+    twin_class = DiagnosedTwin
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None, start=None):
         config = self.config(budget.preset, observed[0])

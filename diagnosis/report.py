@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import uuid
 from html import escape
 from pathlib import Path
 from string import Template
 
 import numpy as np
 
+from ..datasets.temporary import replacing
 from .page import tables
 from .page.arrays import thin, view
 from .page.document import asset, embedded, plain, policy, script
@@ -38,13 +38,8 @@ def write_report(result: dict, evidence: dict[str, np.ndarray], path: str | Path
     """
     path = Path(path)
     text = _page(plain(result), evidence)
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
+    with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="replace")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _page(result: dict, evidence: dict[str, np.ndarray]) -> str:

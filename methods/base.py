@@ -86,6 +86,8 @@ class Twin(ABC):
 class Method(ABC):
     """A way of making a twin from recordings. One file, one class, one name.
 
+    ``twin_class`` is the class of what ``fit`` returns, by which saved twins are loaded; a property where it is imported late.
+
     Where ``builds_on`` names another method, ``fit`` takes a further option ``start``: that method's twin of the same recordings with the
     same budget, seed and device, or None where the caller has none, which ``fit`` then makes itself.
 
@@ -97,6 +99,7 @@ class Method(ABC):
     """
 
     name: str
+    twin_class: type[Twin]
     builds_on: str | None = None
     reads_images: tuple[str, ...] = ()
     appearance: str = "corrected"

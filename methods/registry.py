@@ -12,6 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import resolve_name
 from pathlib import Path
 
 from ..datasets.collection import nearest
@@ -31,17 +32,20 @@ class Declared:
     doc: str | None
     reads_images: tuple[str, ...] = ()
     appearance: str = Method.appearance
+    builds_on: str | None = None
 
 
 class Found:
     """A method that is there: called without arguments it imports the method and makes one. Carries the method's docstring.
 
-    ``room`` is the folder of the package that it was found in, ``reads_images`` and ``appearance`` what its class says of these.
+    ``room`` is the folder of the package that it was found in, ``modules`` where its code is; ``reads_images``, ``builds_on`` and
+    ``appearance`` are what its class says.
     """
 
     def __init__(self, name: str, room: str, module: str, declared: Declared):
         self.name, self.room, self._module, self._class = name, room, module, declared.class_name
-        self.__doc__, self.reads_images, self.appearance = declared.doc, declared.reads_images, declared.appearance
+        self.__doc__, self.reads_images, self.builds_on = declared.doc, declared.reads_images, declared.builds_on
+        self.appearance, self.modules = declared.appearance, (resolve_name(module, __package__),)
 
     def __call__(self) -> Method:
         return getattr(import_module(self._module, __package__), self._class)()
@@ -87,8 +91,9 @@ def declared(source: str, file: str = "") -> dict[str, Declared]:
         if name is None:
             raise ValueError(f'{file}: METHODS lists {class_name}, which must be a class of that file with a line name = "..."')
         reads = _inherited(class_name, "reads_images", classes) or ()
-        appearance = _inherited(class_name, "appearance", classes) or Method.appearance
-        found[name] = Declared(class_name, ast.get_docstring(classes[class_name]), tuple(reads), appearance)
+        builds_on, appearance = _inherited(class_name, "builds_on", classes), _inherited(class_name, "appearance", classes)
+        doc = ast.get_docstring(classes[class_name])
+        found[name] = Declared(class_name, doc, tuple(reads), appearance or Method.appearance, builds_on)
     return found
 
 

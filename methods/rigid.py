@@ -52,7 +52,7 @@ class Rigid(Static):
     """Moves frame 0 rigidly with the controllers."""
 
     name = "rigid"
-    twin = RigidTwin
+    twin_class = RigidTwin
 
 
 METHODS = (Rigid,)

@@ -55,10 +55,10 @@ class Static(Method):
     """Holds frame 0."""
 
     name = "static"
-    twin = StaticTwin
+    twin_class = StaticTwin
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None) -> StaticTwin:
-        return self.twin.of(observed[0])
+        return self.twin_class.of(observed[0])
 
 
 METHODS = (Static,)

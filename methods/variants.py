@@ -11,6 +11,7 @@ from ..datasets.collection import nearest
 from ..datasets.scenario import Observed, Scenario
 from .appearance.config import quirks_named
 from .base import Method
+from .modules import modules_of
 from .registry import get_method, methods
 
 __all__ = ["FewerCameras", "Variant", "changed", "quirks", "seen_by"]
@@ -74,9 +75,11 @@ class Variant:
         return methods()[self.method].appearance if self.look is None else self.look
 
     @property
-    def room(self) -> str:
-        """The folder of the package that the method was found in."""
-        return getattr(methods()[self.method], "room", "methods")
+    def modules(self) -> tuple[str, ...]:
+        """The modules whose code makes the twin: the method's, and where something differs this one."""
+        found = methods()
+        own, base = found[self.method], getattr(found[self.method], "builds_on", None)
+        return (*modules_of(own), *(modules_of(found[base]) if base else ()), *([__name__] if self.key != self.method else []))
 
     @property
     def reads_images(self) -> tuple[str, ...]:
@@ -119,6 +122,10 @@ class FewerCameras(Method):
         self.method, self.count = method, count
         self.name, self.builds_on, self.skip_transfer = method.name, method.builds_on, method.skip_transfer
         self.reads_images, self.appearance = _with(method.reads_images), method.appearance
+
+    @property
+    def twin_class(self):
+        return self.method.twin_class
 
     def fit(self, observed: Sequence[Observed], **options):
         return self.method.fit([seen_by(one, self.count) for one in observed], **options)

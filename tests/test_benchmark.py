@@ -111,6 +111,7 @@ class Echo(Twin):
 
 class EchoMethod(Method):
     name = "echo"
+    twin_class = Echo
     fault = ""
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
@@ -374,7 +375,7 @@ def test_another_version_of_a_metric_scores_again_without_fitting(tmp_path):
 
 def test_other_method_code_is_another_twin(tmp_path, monkeypatch):
     run(tmp_path)
-    monkeypatch.setattr("twinbench.benchmark.runner.method_code", lambda method: "edited")
+    monkeypatch.setattr("twinbench.benchmark.runner.SOURCES.files", lambda *modules: {"edited.py": "0"})
     run(tmp_path)
     assert calls["fit"] == 2
 

@@ -143,6 +143,11 @@ def test_a_roll_out_starts_in_frame_0_and_covers_every_frame(name):
     np.testing.assert_allclose(trajectory.positions[0], made.structure, atol=1e-7)  # float32 at 0.1 m
 
 
+def test_a_twin_is_of_the_class_that_the_method_names(name):
+    # saved twins are loaded by that class, whatever an entry of a cache says
+    assert issubclass(make(name).twin_class, Twin) and isinstance(fitted(name), make(name).twin_class)
+
+
 def test_the_same_seed_gives_the_same_bits(name):
     path = scenario().controllers
     np.testing.assert_array_equal(positions(fit(name, [scenario()]), path), positions(fitted(name), path))

@@ -8,12 +8,12 @@ import subprocess
 import sys
 import tomllib
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from twinbench.benchmark import commands
-from twinbench.benchmark.challenge.commands import COMMANDS as CHALLENGE
-from twinbench.benchmark.cli import Challenge
+from twinbench.benchmark.cli import GROUPS
 from twinbench.benchmark.plan import TASKS
 from twinbench.benchmark.results import read_results
 from twinbench.benchmark.table import blocks
@@ -28,7 +28,8 @@ EXAMPLE = re.search(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)[1]
 TABLE = re.search(r"^```text\n(.*?)^```$", TEXT, re.M | re.S)[1]
 INSTALL_AND_RUN, INSTALL_AND_TEST = COMMANDS[:2]
 
-SUBCOMMANDS = commands.COMMANDS | {"challenge": Challenge}
+SUBCOMMANDS = commands.COMMANDS | GROUPS
+NESTED = {name: import_module(group.commands, "twinbench.benchmark").COMMANDS for name, group in GROUPS.items()}
 
 
 def parts(command):
@@ -68,17 +69,19 @@ def test_extras_are_there():
 @pytest.mark.parametrize("command", [shlex.join(words) for words in calls(["twinbench"])])
 def test_twinbench_commands_exist(command):
     name, *arguments = shlex.split(command)[1:]
-    options = {field.name for field in fields(CHALLENGE[arguments[0]] if name == "challenge" else SUBCOMMANDS[name])}
+    options = {field.name.replace("_", "-") for field in fields(NESTED[name][arguments[0]] if name in NESTED else SUBCOMMANDS[name])}
     assert {word[2:] for word in arguments if word.startswith("--")} <= options | {"help"}
 
 
 def test_every_subcommand_is_mentioned():
     assert {words[1] for words in calls(["twinbench"])} == set(SUBCOMMANDS)
-    assert {words[2] for words in calls(["twinbench", "challenge"])} == set(CHALLENGE)
+    for name, nested in NESTED.items():
+        assert {words[2] for words in calls(["twinbench", name])} == set(nested)
 
 
 def test_options_in_the_prose_exist():
-    options = {field.name.replace("_", "-") for command in (*SUBCOMMANDS.values(), *CHALLENGE.values()) for field in fields(command)}
+    every = [*SUBCOMMANDS.values(), *(command for nested in NESTED.values() for command in nested.values())]
+    options = {field.name.replace("_", "-") for command in every for field in fields(command)}
     assert set(re.findall(r"`--([\w-]+)", TEXT)) - {"cuda", "small"} <= options  # those are of modules that are run with python -m
 
 

@@ -66,7 +66,7 @@ class Holding(Twin):
 class Hold(Method):
     """Holds frame 0 <always>."""
 
-    name, fate = "hold", ""
+    name, fate, twin_class = "hold", "", Holding
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
         calls[self.name] += 1

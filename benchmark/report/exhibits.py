@@ -56,7 +56,7 @@ def said(row: Mapping) -> str:
 class Replay(Player):
     """Hands out roll-outs of the twins that a run left in the cache. It fits none."""
 
-    def _fit(self, method, fit, key, report):
+    def _fit(self, method, fit, origin, report):
         raise Stopped(status="skipped", reason="its twin is not in the cache any more")
 
     def load(self, name: str) -> Scenario:

@@ -44,6 +44,12 @@ class GSDynamics(Method):
         "full": Config(quirks=CORRECTED),
     }
 
+    @property
+    def twin_class(self):
+        from .twin import GSDynamicsTwin
+
+        return GSDynamicsTwin
+
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
         from .place import Place
         from .training import train

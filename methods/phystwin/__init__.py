@@ -27,6 +27,12 @@ class PhysTwin(Method):
         "full": Config(quirks=CORRECTED, iterations=30, epochs=40, rate=0.05, recordings=12),
     }
 
+    @property
+    def twin_class(self):
+        from .twin import PhysTwinTwin
+
+        return PhysTwinTwin
+
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
         config = self.config(budget.preset, observed[0])
         return self.fitted(self.recordings(observed, config), config, seed=seed, device=device, progress=progress)

@@ -46,6 +46,12 @@ class SpringGaus(Method):
     reads_images = ("mask", "human_mask")
     presets: ClassVar = {"quick": Config(**_QUICK), "full": Config()}
 
+    @property
+    def twin_class(self):
+        from .twin import SpringGausTwin
+
+        return SpringGausTwin
+
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
         import numpy as np
         import torch

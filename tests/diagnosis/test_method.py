@@ -2,16 +2,16 @@
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from twinbench.benchmark import checksum
 from twinbench.benchmark.cache import Cache
-from twinbench.benchmark.checksum import method_code
 from twinbench.benchmark.opening import Opened
 from twinbench.benchmark.plan import plan
 from twinbench.benchmark.runner import Runner, Settings
+from twinbench.benchmark.sources import Sources
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Plane
 from twinbench.diagnosis import method
@@ -221,19 +221,17 @@ def test_a_run_fits_phystwin_once_and_says_what_was_added(tilted, monkeypatch, t
     assert [row["note"] for row in rows] == ["nothing added: diagnosed cannot tell"] * 2
 
 
-def test_its_fits_depend_on_the_code_and_the_numbers_of_the_diagnosis(tmp_path, monkeypatch):
-    package = checksum._PACKAGE
-    for room in ("physics", "methods", "diagnosis"):
-        shutil.copytree(package / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(checksum, "_PACKAGE", tmp_path)
-    monkeypatch.setattr(checksum, "code", checksum.code.__wrapped__)
+def test_its_fits_depend_on_the_code_and_the_numbers_of_the_diagnosis(tmp_path):
+    package = Path(method.__file__).parents[1]
+    for room in ("datasets", "physics", "methods", "diagnosis"):
+        shutil.copytree(package / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__", "sample"))
 
     def codes():
-        return [method_code(methods()[name]) for name in ("phystwin", "phystwin+diagnosed")]
+        return [Sources(tmp_path).files(*methods()[name].modules) for name in ("phystwin", "phystwin+diagnosed")]
 
     before = codes()
-    for file in ("screen.py", "calibration.json"):
-        (tmp_path / "diagnosis" / file).open("a").write("\n")
+    for file, more in {"screen.py": "\nLATER = 1\n", "calibration.json": "\n"}.items():
+        (tmp_path / "diagnosis" / file).open("a").write(more)
         after = codes()
         assert after[0] == before[0] and after[1] != before[1]
         before = after
