@@ -32,14 +32,10 @@ def spread(
     progress("reading", 0.0)
     with workers(min(len(devices), len(groups)), devices) as pool:
         running = {pool.submit(_rows, opened.path, opened.split, settings, cache, [fits[k] for k in group]): group for group in groups}
-        try:
-            for future in as_completed(running):
-                group = running[future]
-                rows |= zip(group, future.result(), strict=True)
-                progress(f"{fits[group[-1]].method} on {'+'.join(fits[group[-1]].sources)}", len(rows) / len(fits))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)  # what runs is finished and kept; what waits is for the next time
-            raise
+        for future in as_completed(running):
+            group = running[future]
+            rows |= zip(group, future.result(), strict=True)
+            progress(f"{fits[group[-1]].method} on {'+'.join(fits[group[-1]].sources)}", len(rows) / len(fits))
     return [row for k in range(len(fits)) for row in rows[k]]
 
 
