@@ -7,6 +7,7 @@ import sys
 from dataclasses import dataclass
 
 from .stopping import stoppable
+from .text import shown
 
 __all__ = ["main"]
 
@@ -29,7 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         except (ValueError, OSError) as error:
             said = error.strerror if isinstance(error, OSError) and error.strerror and not error.filename else str(error)  # no [Errno 28]
-            print(f"twinbench: {' '.join(said.split())}", file=sys.stderr)
+            print(f"twinbench: {shown(said)}", file=sys.stderr)
             return 2
         except ImportError as error:
             if error.name is not None:  # Python's own: a fault of ours, not a package that the command asks for
@@ -47,7 +48,9 @@ def _run(arguments: list[str]) -> int:
 
     from .commands import COMMANDS
     from .options import known
+    from .provenance import command_line
 
+    command_line.set(tuple(arguments))
     commands: dict = COMMANDS | {"challenge": Challenge}
     if arguments == ["--version"]:
         from importlib.metadata import version

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from weakref import WeakValueDictionary
@@ -18,9 +19,10 @@ from .cache import Cache, digest
 from .checksum import Checksums, code, method_code
 from .opening import Opened
 from .plan import Evaluation, Fit, frames
+from .progress import REMEMBERED, SCORED
 from .provenance import device_name, peak_memory, provenance, reset_peak_memory
 from .rendering import Appearances, Recent, Shown, appearance_class
-from .status import Stopped, as_status
+from .status import FAULTS, Stopped, as_status
 
 __all__ = ["Runner", "Settings"]
 
@@ -63,41 +65,65 @@ class Runner:
         self._held: list[Scenario] = []
         self._appearances = Appearances(cache, preset=settings.preset, device=settings.device, kind=settings.appearance)
         self._unseen: set[Evaluation] = set()
+        self._lost: dict[str, str] = {}
 
     def run(self, fits: list[Fit], *, progress: Progress = lambda label, fraction: None) -> list[dict]:
         """The rows of ``fits``. ``progress(label, fraction)`` is told what is going on and how much of everything is done.
 
-        Raises OSError where the cache cannot be written, ValueError where a recording cannot be read or the device is not there.
+        A recording that cannot be read is the status "unreadable" of all rows that need it. Raises OSError where the cache cannot be
+        written, ValueError where the device is not there.
         """
         names = [name for fit in fits for name in (*fit.sources, *(evaluation.target for evaluation in fit.evaluations))]
-        progress("reading", 0.0)
-        # here, so that a recording that cannot be read is known before hours of work
-        self._checksums.learn(names, self._load, images=self.settings.images)
+        for name in dict.fromkeys(names):  # here, so that a recording that cannot be read is known before hours of work
+            progress(f"reading {name}", 0.0)
+            with suppress(Stopped):
+                self._checksums.learn([name], self._load, images=self.settings.images)
         rows = []
         for i, fit in enumerate(fits):
             label = f"{fit.method} on {_short(fit.sources)}"
             progress(label, i / len(fits))
+            told: list[str] = []
 
-            def report(stage: str, fraction: float, *, i=i, label=label) -> None:
+            def report(stage: str, fraction: float, *, i=i, label=label, told=told) -> None:
+                told[:] = [stage]
                 progress(f"{label}: {stage}", (i + min(max(fraction, 0.0), 1.0)) / len(fits))
 
             rows += self._rows(fit, report)
+            progress(f"{label}: {SCORED if told else REMEMBERED}", (i + 1) / len(fits))
         progress("done", 1.0)
         return rows
 
     def _rows(self, fit: Fit, report: Progress) -> list[dict]:
+        found = self._lost_rows(fit)
+        whole = replace(fit, evaluations=tuple(evaluation for evaluation in fit.evaluations if evaluation not in found))
         if fit.skip:
-            skipped = self._row({"status": "skipped", "reason": fit.skip}, {})
-            return [{**self._identity(fit, evaluation), **skipped} for evaluation in fit.evaluations]
+            found |= dict.fromkeys(whole.evaluations, self._row({"status": "skipped", "reason": fit.skip}, {}))
+        elif whole.evaluations:
+            try:
+                found |= self._scored(whole, report)
+            except Stopped as stopped:  # and so may a source be lost
+                found |= dict.fromkeys(whole.evaluations, self._row(stopped.row, {}))
+        return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
+
+    def _lost_rows(self, fit: Fit) -> dict[Evaluation, dict]:
+        """Rows of what cannot be scored because a recording cannot be read, one that is fitted or the one that is scored."""
+        found = {}
+        for evaluation in fit.evaluations:
+            reasons = [self._lost[name] for name in dict.fromkeys((*fit.sources, evaluation.target)) if name in self._lost]
+            if reasons:
+                found[evaluation] = self._row({"status": "unreadable", "reason": "; ".join(reasons)}, {})
+        return found
+
+    def _scored(self, fit: Fit, report: Progress) -> dict[Evaluation, dict]:
         fit_key = self._fit_key(fit)
         keys = {evaluation: self._row_key(fit_key, evaluation) for evaluation in fit.evaluations}
         found = {evaluation: self.cache.read("rows", key) for evaluation, key in keys.items()}
         missing = [evaluation for evaluation, row in found.items() if row is None]
         for evaluation, row in self._compute(fit, fit_key, missing, report) if missing else ():
             found[evaluation] = row
-            if row["status"] != "failed" and evaluation not in self._unseen:
+            if row["status"] not in FAULTS and evaluation not in self._unseen:
                 self.cache.write("rows", self._row_key(fit_key, evaluation), row)  # a metric may have turned out to be unavailable
-        return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
+        return found
 
     def _compute(self, fit: Fit, fit_key: str, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
         device_name(self.settings.device)  # raises where it is not there
@@ -114,7 +140,12 @@ class Runner:
         for target in dict.fromkeys(evaluation.target for evaluation in evaluations):
             report(f"scoring {target}", 1.0)
             wanted = [evaluation for evaluation in evaluations if evaluation.target == target]
-            yield from self._evaluate(method, twin, about, wanted, self._load(target), report)
+            try:
+                recording = self._load(target)
+            except Stopped as stopped:  # it was there at the start and is not any more
+                yield from ((evaluation, self._row(stopped.row, {})) for evaluation in wanted)
+                continue
+            yield from self._evaluate(method, twin, about, wanted, recording, report)
 
     def _method(self, name: str) -> Method:
         with as_status():
@@ -255,7 +286,7 @@ class Runner:
             "seed": fit.seed,
             "preset": self.settings.preset,
             "split": self.split,
-            "data_checksum": self._checksums[evaluation.target],
+            "data_checksum": "" if evaluation.target in self._lost else self._checksums[evaluation.target],
             "code_checksum": method_code(self.settings.methods[fit.method]),
         }
 
@@ -274,9 +305,18 @@ class Runner:
         return digest(fit_key, evaluation.task, self._checksums[evaluation.target], images, metrics, code("metrics", "methods/appearance"))
 
     def _load(self, name: str) -> Scenario:
+        """The recording of that name, read once. Raises Stopped where it cannot be read, and does not try again."""
         scenario = self._loaded.get(name)
+        if scenario is None and name not in self._lost:
+            try:
+                scenario = self._loaded[name] = self.collection.load(name)
+            except ImportError:  # a package that is asked for: no fault of the recording
+                raise
+            except Exception as error:  # a damaged file may make any reader fail in any way
+                said = str(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
+                self._lost[name] = f"{name} cannot be read: {said}"
         if scenario is None:
-            scenario = self._loaded[name] = self.collection.load(name)
+            raise Stopped(status="unreadable", reason=self._lost[name])
         return scenario
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from .plan import TASKS
 from .results import Results
+from .text import in_markdown
 
 __all__ = [
     "Block",
@@ -18,6 +19,7 @@ __all__ = [
     "latex",
     "latex_table",
     "markdown",
+    "markdown_table",
     "notes",
     "number",
     "remarks",
@@ -131,7 +133,7 @@ def notes(results: Results) -> list[str]:
     groups: dict[tuple, list[dict]] = {}
     twins = {(row["collection"], row["method"], row["sources"], row["seed"]): row.get("note") for row in results.rows}
     for row in results.rows:
-        if row["status"] != "ok":
+        if row["status"] not in ("ok", "unreadable"):
             frame = f" at frame {row['diverged_frame']}" if row["status"] == "diverged" else ""
             key = (row["collection"], row["task"], row["method"], row["status"])
             groups.setdefault(key, []).append({**row, "where": f"{row['scenario']}{frame}"})
@@ -142,7 +144,16 @@ def notes(results: Results) -> list[str]:
         reasons = list(dict.fromkeys(row["reason"] for row in rows))
         where = ", ".join(row["where"] for row in rows[:3]) + (f" and {len(rows) - 3} more" if len(rows) > 3 else "")
         said.append(f"{collection}, {task}: {method} {status} in {len(rows)} (not in the means): {where}: {'; '.join(reasons[:3])}")
-    return said + _without_value(results) + _left_out(results)
+    return said + _unreadable(results) + _without_value(results) + _left_out(results)
+
+
+def _unreadable(results: Results) -> list[str]:
+    """One sentence for each recording that could not be read."""
+    lost: dict[tuple[str, str], int] = {}
+    for row in results.rows:
+        if row["status"] == "unreadable":
+            lost[row["collection"], row["reason"]] = lost.get((row["collection"], row["reason"]), 0) + 1
+    return [f"{collection}: {count} rows not scored (not in the means): {reason}" for (collection, reason), count in lost.items()]
 
 
 def _without_value(results: Results) -> list[str]:
@@ -299,11 +310,17 @@ def markdown(results: Results) -> str:
     """The tables in Markdown; the best of a column is bold."""
     parts = []
     for block in blocks(results):
-        header = _header(block, dict(results.units))
-        rows = [[f"**{text}**" if best else text.strip() for text, best in _cells(block, line, results)] for line in block.lines]
-        rule = ["---", *["---:"] * (len(header) - 1)]
-        parts.append("\n".join([f"**{_caption(block)}**", "", *("| " + " | ".join(row) + " |" for row in [header, rule, *rows])]))
-    return "\n\n".join([*parts, _legend(results), *(f"- {note}" for note in notes(results))]) + "\n"
+        cells = [[(in_markdown(text.strip()), best) for text, best in _cells(block, line, results)] for line in block.lines]
+        rows = [[f"**{text}**" if best else text for text, best in row] for row in cells]
+        table = markdown_table(_header(block, dict(results.units)), rows)
+        parts.append(f"**{in_markdown(_caption(block))}**\n\n{table}")
+    return "\n\n".join([*parts, _legend(results), *(f"- {in_markdown(note)}" for note in notes(results))]) + "\n"
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """One table. ``header`` is plain text, the cells of ``rows`` are Markdown; columns but the first are aligned on the right."""
+    names, rule = [name.replace("|", r"\|") for name in header], ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join("| " + " | ".join(row) + " |" for row in [names, rule, *rows])
 
 
 def latex(results: Results) -> str:

@@ -164,7 +164,7 @@ def board(folder):
 def test_the_leaderboard_that_is_shown_is_what_the_command_gives(printed_again):
     # the baselines hardly depend on the machine; the others took minutes, and stand beside them in the same file
     shown = board(".")
-    results = read_results(printed_again[1] / "results" / "sample")
+    results = read_results(printed_again[1] / "results" / "sample" / "latest")
     for block in blocks(results):
         for line in block.lines:
             for metric in (name for name in block.metrics if results.units[name] == "m"):
@@ -191,7 +191,7 @@ def test_the_table_shows_a_twin_that_predicts():
 
 
 def test_what_gets_written_is_named(printed_again):
-    folder = printed_again[1] / "results" / "sample"
+    folder = printed_again[1] / "results" / "sample" / "latest"
     for file in folder.iterdir():
         assert f"`{file.name}`" in TEXT
     assert len(read_results(folder).rows) == 12
