@@ -103,8 +103,10 @@ def open_all(paths: Iterable[str], *, split: str, cache: Cache) -> list[Opened]:
 
     Raises ValueError as ``open_recordings`` does.
     """
-    folders = {folder_of(path).resolve(): path for path in reversed(list(paths))}
-    found = {folder: open_recordings(path, split=split, cache=cache) for folder, path in reversed(folders.items())}
+    found: dict[Path, Opened] = {}
+    for path in paths:
+        if (folder := folder_of(path).resolve()) not in found:
+            found[folder] = open_recordings(path, split=split, cache=cache)
     alike: dict[str, list[Path]] = {}
     for folder, opened in found.items():
         alike.setdefault(opened.collection.name, []).append(folder)

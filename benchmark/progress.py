@@ -80,7 +80,7 @@ def _spoken(seconds: float) -> str:
     """A time in words, as exact as one cares to know."""
     for limit, unit, name in ((100, 1, "s"), (6000, 60, "min"), (float("inf"), 3600, "h")):
         if seconds < limit:
-            return f"{seconds / unit:.{int(seconds < 9.95)}f} {name}"
+            return f"{seconds / unit:.{int(seconds / unit < 9.95)}f} {name}"
     raise ValueError(f"seconds must be a number, got {seconds}")
 
 

@@ -79,7 +79,7 @@ class Results:
             raise ValueError(f"there is no table of {wanted[0]}, {task}; there are {', '.join(map(', '.join, found)) or 'none'}")
         block = found[wanted]
         lines = [
-            {name: line.means[name] for name in (*block.metrics, *block.equal)}
+            {name: line.means[name] for name in self.units}
             | {"rows": line.rows, "scored": line.scored, "fit_seconds": line.fit_seconds, "published": line.published}
             for line in block.lines
         ]

@@ -16,6 +16,7 @@ __all__ = [
     "Sheet",
     "blocks",
     "escape",
+    "laid_out",
     "latex",
     "latex_table",
     "markdown",
@@ -274,11 +275,11 @@ def _fitting(block: Block, results: Results, width: int) -> list[str]:
     """Lines of one table, with the names of columns stacked where it would be wider than ``width``."""
     header = _header(block, dict(results.units))
     body = [[_aligned(text, best) for text, best in _cells(block, line, results)] for line in block.lines]
-    lines = _laid_out([name.split() for name in header], body)
-    return lines if max(map(len, lines)) <= width else _laid_out([name.replace("_", "_ ").split() for name in header], body)
+    lines = laid_out([name.split() for name in header], body)
+    return lines if max(map(len, lines)) <= width else laid_out([name.replace("_", "_ ").split() for name in header], body)
 
 
-def _laid_out(names: Sequence[Sequence[str]], body: list[list[str]]) -> list[str]:
+def laid_out(names: Sequence[Sequence[str]], body: list[list[str]]) -> list[str]:
     """Lines of one table: the words of each column's name above each other, and rules."""
     height = max(len(words) for words in names)
     head = [[f"{word} " for word in row] for row in zip(*([""] * (height - len(words)) + list(words) for words in names), strict=True)]

@@ -148,10 +148,14 @@ def test_the_table_is_what_the_command_prints(printed_again):
         # the appearance comes from some hundred steps in single precision, which machines round in their own way
         assert list(map(float, here[key][lengths:])) == pytest.approx(list(map(float, printed[lengths:])), rel=0.03)
     assert there
-    words = {" ".join(line.split()) for line in printed_again[0].splitlines()}
+
+    def spaced(line):
+        return re.sub(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d", "WHEN", " ".join(line.split()))
+
+    words = {spaced(line) for line in printed_again[0].splitlines()}
     for line in TABLE.splitlines():
         if not re.match(r"(phystwin|rigid|static) |-{9}|sample: no ", line):  # captions, names of columns, legend
-            assert " ".join(line.split()) in words
+            assert spaced(line) in words
 
 
 def board(folder):
