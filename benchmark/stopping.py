@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 
 __all__ = ["SAID", "Stop", "stoppable"]
 
-GRACE = 1.0  # s: what a command may take to leave by itself
+GRACE = 0.7  # s: what a command may take to leave by itself
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SAID = "twinbench: stopped; the same command goes on from here"
 
@@ -38,10 +38,21 @@ class Stop:
             with suppress(OSError, ValueError):
                 os.write(2, f"{chr(10) if os.isatty(2) else ''}{SAID}\n".encode())
 
+    def end(self) -> None:
+        """End this process and its children at once. Python would first take its libraries apart, for seconds."""
+        self.say()
+        with suppress(Exception):  # whatever state the process is in
+            if "multiprocessing" in sys.modules:
+                from .processes import end_children
+
+                end_children()
+        os._exit(self.code)
+
 
 @contextmanager
 def stoppable() -> Iterator[Stop]:
-    """Within, the first SIGINT or SIGTERM raises KeyboardInterrupt; the process is ended ``GRACE`` seconds later, or by a second one.
+    """Within, the first SIGINT or SIGTERM raises KeyboardInterrupt. The process ends when that leaves the block, ``GRACE`` seconds later, or
+    by a second signal, whichever is first.
 
     Outside the main thread, where signals are nobody's business, it does nothing.
     """
@@ -70,12 +81,13 @@ def stoppable() -> Iterator[Stop]:
         yield stop
     finally:
         done.set()
-        if not stop.signal:  # else all stays as it is until the process has ended
-            for number, handler in handlers.items():
-                signal.signal(number, handler)
-            signal.set_wakeup_fd(fd)
-            sys.unraisablehook = hook
-            os.close(writing)
+        if stop.signal:
+            stop.end()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.set_wakeup_fd(fd)
+        sys.unraisablehook = hook
+        os.close(writing)
 
 
 def _watch(reading: int, stop: Stop) -> None:
@@ -87,15 +99,5 @@ def _watch(reading: int, stop: Stop) -> None:
     if heard:
         select.select([reading], [], [], GRACE)
         stop.signal = stop.signal or heard[0]
-        _end(stop)
+        stop.end()
     os.close(reading)
-
-
-def _end(stop: Stop) -> None:
-    stop.say()
-    with suppress(Exception):  # whatever state the process is in
-        if "multiprocessing" in sys.modules:
-            from .processes import end_children
-
-            end_children()
-    os._exit(stop.code)
