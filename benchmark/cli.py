@@ -6,13 +6,10 @@ import os
 import sys
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.metadata import version
 from typing import ClassVar
 
-import tyro
-
-from .commands import COMMANDS
-from .options import known
+from .stopping import stoppable
+from .text import shown
 
 __all__ = ["main"]
 
@@ -42,35 +39,48 @@ GROUPS = {"challenge": Challenge, "cache": Cache}
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
-    arguments = sys.argv[1:] if arguments is None else arguments
-    commands = COMMANDS | GROUPS
-    try:
-        if arguments == ["--version"]:
-            print(f"twinbench {version('twinbench')}")
+    with stoppable() as stop:
+        try:
+            return _run(sys.argv[1:] if arguments is None else arguments)
+        except BrokenPipeError:  # the reader of our output has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
+        except (ValueError, OSError) as error:
+            said = error.strerror if isinstance(error, OSError) and error.strerror and not error.filename else str(error)  # no [Errno 28]
+            print(f"twinbench: {shown(said)}", file=sys.stderr)
+            return 2
+        except ImportError as error:
+            if error.name is not None:  # Python's own: a fault of ours, not a package that the command asks for
+                raise
+            print(f"twinbench: {error}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            stop.say()
+            return stop.code
+
+
+def _run(arguments: list[str]) -> int:
+    """Imports come here, where Ctrl-C is heard."""
+    import tyro
+
+    from .commands import COMMANDS
+    from .options import known
+    from .provenance import command_line
+
+    command_line.set(tuple(arguments))
+    commands: dict = COMMANDS | GROUPS
+    if arguments == ["--version"]:
+        from importlib.metadata import version
+
+        print(f"twinbench {version('twinbench')}")
+        return 0
+    if arguments and not arguments[0].startswith("-"):
+        known("command", arguments[:1], commands)
+    says, prog = "Benchmark and diagnosis of physical digital twins of deformable objects.", "twinbench"
+    if arguments and arguments[0] in GROUPS:
+        group = GROUPS[arguments[0]]
+        commands = import_module(group.commands, __package__).COMMANDS
+        says, prog, arguments = group.__doc__, f"twinbench {arguments[0]}", arguments[1:]
         if arguments and not arguments[0].startswith("-"):
             known("command", arguments[:1], commands)
-        says, prog = "Benchmark and diagnosis of physical digital twins of deformable objects.", "twinbench"
-        if arguments and arguments[0] in GROUPS:
-            group = GROUPS[arguments[0]]
-            commands = import_module(group.commands, __package__).COMMANDS
-            says, prog, arguments = group.__doc__, f"twinbench {arguments[0]}", arguments[1:]
-            if arguments and not arguments[0].startswith("-"):
-                known("command", arguments[:1], commands)
-        command = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)
-        return command()
-    except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except (ValueError, OSError) as error:
-        said = error.strerror if isinstance(error, OSError) and error.strerror and not error.filename else str(error)  # without [Errno 28]
-        print(f"twinbench: {' '.join(said.split())}", file=sys.stderr)
-        return 2
-    except ImportError as error:
-        if error.name is not None:  # Python's own: a fault of ours, not a package that the command asks for
-            raise
-        print(f"twinbench: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("twinbench: stopped; the same command goes on from here", file=sys.stderr)
-        return 130
+    return tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)()

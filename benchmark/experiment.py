@@ -69,13 +69,18 @@ class Experiment:
         """What all rows of a run have in common."""
         return Settings(self.methods, self.metrics, budget, device)
 
-    def run(self, work: Work, *, cache: Cache, budget: str, device: str) -> Results:
-        """What comes of ``work``. Raises as ``Runner.run`` does."""
+    def run(self, work: Work, *, cache: Cache, budget: str, device: str, jobs: int | None = None, quiet: bool = False) -> Results:
+        """What comes of ``work``, computed by ``jobs`` processes: by default one for each graphics card, or one.
+
+        Raises as ``Runner.run`` and ``spread`` do, and ValueError where not one recording can be read.
+        """
         settings, devices, rows = self.settings(budget, device), cards(device), []
         for found, fits in work:
-            with Bar(" ".join(filter(None, (found.collection.name, self.name)))) as bar:
-                if len(devices) > 1 and found.path:
-                    rows += spread(found, settings, cache, fits, devices, progress=bar)
+            with Bar(" ".join(filter(None, (found.collection.name, self.name))), [fit.method for fit in fits], quiet=quiet) as bar:
+                if (count := jobs or (len(devices) if found.path else 1)) > 1:
+                    rows += spread(found, settings, cache, fits, devices, jobs=count, progress=bar)
                 else:
                     rows += Runner(found, settings, cache).run(fits, progress=bar)
+        if rows and all(row["status"] == "unreadable" for row in rows):
+            raise ValueError("; ".join(dict.fromkeys(row["reason"] for row in rows)))
         return Results.of(rows, self.metrics, [found.collection for found, _ in work]).beside(self.published)

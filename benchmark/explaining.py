@@ -9,6 +9,7 @@ from .cache import Cache, Entry
 from .origin import Forerunners, spoken
 from .plan import Fit
 from .runner import Runner
+from .status import Stopped
 from .upkeep import Upkeep
 
 __all__ = ["ago", "described", "explain", "explain_entry", "megabytes"]
@@ -23,12 +24,16 @@ def explain(runner: Runner, fits: Iterable[Fit]) -> Iterator[str]:
         if fit.skip:
             yield f"{who}: skipped, {fit.skip}"
             continue
-        origin = runner.origin(fit)
         missing = {}
-        for evaluation in fit.evaluations:
-            row = runner.row_origin(fit, evaluation)
-            if cache.read("rows", row.key) is None:
-                missing[evaluation] = scored.why(row)
+        try:
+            origin = runner.origin(fit)
+            for evaluation in fit.evaluations:
+                row = runner.row_origin(fit, evaluation)
+                if cache.read("rows", row.key) is None:
+                    missing[evaluation] = scored.why(row)
+        except Stopped as stopped:
+            yield f"{who}: {stopped.row['reason']}"
+            continue
         there = cache.read_folder("fits", origin.key) is not None
         if there:
             yield f"{who}: fitted, {origin.key[:12]}"

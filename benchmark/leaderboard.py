@@ -13,7 +13,8 @@ from ..datasets.catalogue import CITATION, PUBLISHED
 from .cache import replacing
 from .plan import TASKS
 from .results import Results
-from .table import Sheet, escape, latex_table, number, remarks, sheets
+from .table import Sheet, escape, latex_table, markdown_table, number, remarks, sheets
+from .text import cell, in_markdown
 
 __all__ = ["Board", "Interval", "boards", "half_width", "leaderboard_csv", "leaderboard_latex", "leaderboard_markdown", "write_leaderboard"]
 
@@ -184,19 +185,15 @@ def leaderboard_markdown(results: Results, *, says: str = "", published: Sequenc
     for board in found:
         rows = []
         for line, cells in zip(board.sheet.block.lines, _cells(board), strict=True):
-            texts = [(f"**{text}**" if best else text) + (f" ± {half}" if half else "") for text, half, best in cells]
+            marked = [(in_markdown(text), half, best) for text, half, best in cells]
+            texts = [(f"**{text}**" if best else text) + (f" ± {half}" if half else "") for text, half, best in marked]
             rows.append([f"*{text}*" if text and line.published else text for text in texts])
-        parts.append(f"## {board.sheet.caption}\n\n{_markdown_table(board.sheet.header, rows)}")
-    parts.append("\n".join(f"- {_capital(said)}" for said in _about(found, results)))
+        parts.append(f"## {in_markdown(board.sheet.caption)}\n\n{markdown_table(board.sheet.header, rows)}")
+    parts.append("\n".join(f"- {in_markdown(_capital(said))}" for said in _about(found, results)))
     if tables := _elsewhere(results, published):
         parts.append(f"## {ELSEWHERE.split(';')[0]}\n\n{ELSEWHERE}")
-        parts += [f"**{caption}**\n\n{_markdown_table(header, rows)}" for caption, (header, *rows) in tables]
+        parts += [f"**{caption}**\n\n{markdown_table(header, rows)}" for caption, (header, *rows) in tables]
     return "\n\n".join(parts) + "\n"
-
-
-def _markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    rule = ["---", *["---:"] * (len(header) - 1)]
-    return "\n".join("| " + " | ".join(text.replace("|", r"\|") for text in row) + " |" for row in [header, rule, *rows])
 
 
 def _capital(text: str) -> str:
@@ -238,7 +235,7 @@ def leaderboard_csv(results: Results) -> str:
                     counts = ("", "") if line.published else (line.counts[metric], line.rows)
                     named = (block.collection, block.task, line.method, line.published, metric, results.units[metric])
                     best = (line.method, metric) in board.best and not line.published
-                    writer.writerow([*named, results.directions[metric], *numbers, over, *counts, best])
+                    writer.writerow(map(cell, [*named, results.directions[metric], *numbers, over, *counts, best]))
     return text.getvalue()
 
 

@@ -7,10 +7,11 @@ answer.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache as once
 from functools import partial
+from itertools import count
 from pathlib import Path
 
 from ..datasets import collection as collections
@@ -20,8 +21,9 @@ from ..methods.modules import modules_of
 from .cache import Cache, digest
 from .origin import Origin
 from .sources import SOURCES
+from .text import check_name
 
-__all__ = ["Opened", "description_origin", "folder_of", "listing", "open_recordings", "open_scenario"]
+__all__ = ["Opened", "description_origin", "folder_of", "listing", "open_all", "open_recordings", "open_scenario"]
 
 LEVELS = 4  # a recording's name may be so deep below its folder
 
@@ -38,6 +40,10 @@ class Opened:
     note: str = ""
     split: str = "published"
     path: str = ""
+
+    def called(self, name: str) -> Opened:
+        """The same under another name."""
+        return replace(self, collection=replace(self.collection, name=name))
 
 
 def folder_of(path: str) -> Path:
@@ -68,8 +74,9 @@ def _files(folder: Path) -> Iterator[Path]:
 def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:
     """The recordings at ``path`` (or "sample"). A folder that was opened before is described from ``cache`` and read when first needed.
 
-    Raises ValueError where nothing is there, or no reader recognises it.
+    Raises ValueError where nothing is there, no reader recognises it, or a name in it cannot be shown.
     """
+    check_name(str(path), where="--data")
     folder = folder_of(path)
     if not folder.exists():
         raise ValueError(f"no recordings at {folder}: no such file or folder")
@@ -87,6 +94,8 @@ def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:
         published={tuple(figure): value for *figure, value in known["published"]},
         citation=known["citation"],
     )
+    for name in (remembered.name, *remembered.scenarios):
+        check_name(name, where=str(path))
     return Opened(remembered, origin.key, known["note"], split, str(path))
 
 
@@ -97,6 +106,34 @@ def description_origin(folder: Path, split: str) -> Origin:
     modules = modules_of(layout) if layout else (collections.__name__,)
     inputs = {"listing": listing(folder), "split": split, "code": SOURCES.files(*modules)}
     return Origin(inputs, {"folder": str(folder), "modules": list(modules)})
+
+
+def open_all(paths: Iterable[str], *, split: str, cache: Cache) -> list[Opened]:
+    """The recordings at each of ``paths``; a folder that is named twice is opened once. Collections of one name are told apart by where
+    their paths differ.
+
+    Raises ValueError as ``open_recordings`` does.
+    """
+    found: dict[Path, Opened] = {}
+    for path in paths:
+        if (folder := folder_of(path).resolve()) not in found:
+            found[folder] = open_recordings(path, split=split, cache=cache)
+    alike: dict[str, list[Path]] = {}
+    for folder, opened in found.items():
+        alike.setdefault(opened.collection.name, []).append(folder)
+    for name, group in alike.items():
+        for folder, place in zip(group, _places(group), strict=True) if len(group) > 1 else ():
+            found[folder] = found[folder].called(f"{name} ({place})")
+    return list(found.values())
+
+
+def _places(folders: Sequence[Path]) -> list[str]:
+    """The shortest parts of these paths that tell them apart, without the end that all share."""
+    parts = [folder.parts for folder in folders]
+    while len({path[-1:] for path in parts}) == 1:
+        parts = [path[:-1] for path in parts]
+    depth = next(depth for depth in count(1) if len({path[-depth:] for path in parts}) == len(parts))
+    return ["/".join(path[-depth:]).lstrip("/") or "/" for path in parts]
 
 
 def _description(collection: Collection) -> dict:

@@ -47,8 +47,8 @@ class Player(Runner):
 
     def play(self, fit: Fit, evaluation: Evaluation, *, progress: Progress = lambda label, fraction: None) -> Trajectory:
         """The roll-out that ``evaluation`` scores. Raises ValueError with the reason where the method gives none."""
-        self._checksums.learn([*fit.sources, evaluation.target], self._load)
         try:
+            self._checksums.learn([*fit.sources, evaluation.target], self._load)
             self._held = [self._load(name) for name in fit.sources]
             method, target = self._method(fit.method), self._load(evaluation.target)
             self._refuse(method, [*self._held, target])

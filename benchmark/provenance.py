@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import platform
+import shlex
 import subprocess
 import sys
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 
-__all__ = ["device_name", "peak_memory", "provenance", "reset_peak_memory"]
+__all__ = ["command_line", "device_name", "origin", "peak_memory", "provenance", "reset_peak_memory"]
+
+PACKAGES = {"numpy": "numpy", "torch": "torch", "warp": "warp-lang", "twinbench": "twinbench"}
+command_line: ContextVar[tuple[str, ...]] = ContextVar("command_line", default=())  # what twinbench was called with, if it was
 
 
 @cache
@@ -59,14 +65,42 @@ def _processor() -> str:
 
 def provenance(device: str) -> dict[str, str]:
     """The columns that say how and when a row was computed."""
-    packages = {"numpy": "numpy", "torch": "torch", "warp": "warp-lang", "twinbench": "twinbench"}
     return {
         "device": device_name(device),
         "commit": commit(),
         "python": platform.python_version(),
-        **{column: installed(package) for column, package in packages.items()},
+        **{column: installed(package) for column, package in PACKAGES.items()},
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
+
+
+def origin(began: datetime, used: Iterable, options: Mapping) -> dict:
+    """How and when results came about, as ``about.json`` has it: nothing in it but the command line depends on whose machine it was.
+
+    ``used`` are the methods and metrics; the distributions that they come from are named with their versions.
+    """
+    head = commit()
+    return {
+        "command": shlex.join(("twinbench", *command_line.get())) if command_line.get() else "",
+        "options": dict(options),
+        "started": began.isoformat(timespec="seconds"),
+        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": head.rstrip("+"),
+        "dirty": head.endswith("+"),
+        "python": platform.python_version(),
+        "packages": {package: installed(package) for package in PACKAGES.values()},
+        "plugins": _plugins(used),
+    }
+
+
+def _plugins(used: Iterable) -> dict[str, str]:
+    """Versions of the distributions, beside twinbench, that methods and metrics come from."""
+    modules = {getattr(one, "__module__", None) for one in used}  # of a class its own, of an object its class's
+    outside = {name.split(".")[0] for name in modules if name} - {"twinbench", "__main__", "builtins"}
+    if not outside:
+        return {}
+    known = packages_distributions()
+    return {name: installed(name) for module in sorted(outside) for name in known.get(module, ())}
 
 
 def reset_peak_memory() -> None:

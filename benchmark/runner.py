@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from weakref import WeakValueDictionary
 
@@ -19,11 +20,11 @@ from .checksum import Checksums, images_of, observed_of
 from .opening import Opened, folder_of
 from .origin import Forerunners, Origin
 from .plan import Evaluation, Fit, frames
-from .progress import say
+from .progress import REMEMBERED, SCORED, say
 from .provenance import device_name, peak_memory, provenance, reset_peak_memory
 from .rendering import Appearances, Recent, Shown, appearance_class
 from .sources import SOURCES
-from .status import Stopped, as_status
+from .status import FAULTS, Stopped, as_status
 
 __all__ = ["Runner", "Settings"]
 
@@ -69,45 +70,70 @@ class Runner:
         self._appearances = Appearances(cache, **options, kind=settings.appearance)
         self._unseen: set[Evaluation] = set()
         self._forerunners, self._said = Forerunners(cache, "fits"), set()
+        self._lost: dict[str, str] = {}
 
     def run(self, fits: list[Fit], *, progress: Progress = lambda label, fraction: None) -> list[dict]:
         """The rows of ``fits``. ``progress(label, fraction)`` is told what is going on and how much of everything is done.
 
-        Raises OSError where the cache cannot be written, ValueError where a recording cannot be read or the device is not there.
+        A recording that cannot be read is the status "unreadable" of all rows that need it. Raises OSError where the cache cannot be
+        written, ValueError where the device is not there.
         """
-        progress("reading", 0.0)
         self.cache.sweep()
-        self.learn(fits)  # here, so that a recording that cannot be read is known before hours of work
+        self.learn(fits, progress)  # here, so that a recording that cannot be read is known before hours of work
         rows = []
         for i, fit in enumerate(fits):
             label = f"{fit.method} on {_short(fit.sources)}"
             progress(label, i / len(fits))
+            told: list[str] = []
 
-            def report(stage: str, fraction: float, *, i=i, label=label) -> None:
+            def report(stage: str, fraction: float, *, i=i, label=label, told=told) -> None:
+                told[:] = [stage]
                 progress(f"{label}: {stage}", (i + min(max(fraction, 0.0), 1.0)) / len(fits))
 
             rows += self._rows(fit, report)
+            progress(f"{label}: {SCORED if told else REMEMBERED}", (i + 1) / len(fits))
         progress("done", 1.0)
         return rows
 
-    def learn(self, fits: Iterable[Fit]) -> None:
-        """Read the recordings of which it is not known yet what they hold. Raises as ``run`` does."""
+    def learn(self, fits: Iterable[Fit], progress: Progress = lambda label, fraction: None) -> None:
+        """Read the recordings of which it is not known yet what they hold; those that cannot be read are known as lost then."""
         names = [name for fit in fits for name in (*fit.sources, *(evaluation.target for evaluation in fit.evaluations))]
-        self._checksums.learn(names, self._load, images=self.settings.images)
+        for name in dict.fromkeys(names):
+            progress(f"reading {name}", 0.0)
+            with suppress(Stopped):
+                self._checksums.learn([name], self._load, images=self.settings.images)
 
     def _rows(self, fit: Fit, report: Progress) -> list[dict]:
+        found = self._lost_rows(fit)
+        whole = replace(fit, evaluations=tuple(evaluation for evaluation in fit.evaluations if evaluation not in found))
         if fit.skip:
-            skipped = self._row({"status": "skipped", "reason": fit.skip}, {})
-            return [{**self._identity(fit, evaluation), **skipped} for evaluation in fit.evaluations]
+            found |= dict.fromkeys(whole.evaluations, self._row({"status": "skipped", "reason": fit.skip}, {}))
+        elif whole.evaluations:
+            try:
+                found |= self._scored(whole, report)
+            except Stopped as stopped:  # and so may a source be lost
+                found |= dict.fromkeys(whole.evaluations, self._row(stopped.row, {}))
+        return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
+
+    def _lost_rows(self, fit: Fit) -> dict[Evaluation, dict]:
+        """Rows of what cannot be scored because a recording cannot be read, one that is fitted or the one that is scored."""
+        found = {}
+        for evaluation in fit.evaluations:
+            reasons = [self._lost[name] for name in dict.fromkeys((*fit.sources, evaluation.target)) if name in self._lost]
+            if reasons:
+                found[evaluation] = self._row({"status": "unreadable", "reason": "; ".join(reasons)}, {})
+        return found
+
+    def _scored(self, fit: Fit, report: Progress) -> dict[Evaluation, dict]:
         origins = {evaluation: self.row_origin(fit, evaluation) for evaluation in fit.evaluations}
         found = {evaluation: self.cache.read("rows", origin.key) for evaluation, origin in origins.items()}
         missing = [evaluation for evaluation, row in found.items() if row is None]
         for evaluation, row in self._compute(fit, missing, report) if missing else ():
             found[evaluation] = row
-            if row["status"] != "failed" and evaluation not in self._unseen:
+            if row["status"] not in FAULTS and evaluation not in self._unseen:
                 origin = self.row_origin(fit, evaluation)  # a metric may have turned out to be unavailable
                 self.cache.write("rows", origin.key, row, origin.made)
-        return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
+        return found
 
     def _compute(self, fit: Fit, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
         device_name(self.settings.device)  # raises where it is not there
@@ -124,7 +150,12 @@ class Runner:
         for target in dict.fromkeys(evaluation.target for evaluation in evaluations):
             report(f"scoring {target}", 1.0)
             wanted = [evaluation for evaluation in evaluations if evaluation.target == target]
-            yield from self._evaluate(method, twin, about, wanted, self._load(target), report)
+            try:
+                recording = self._load(target)
+            except Stopped as stopped:  # it was there at the start and is not any more
+                yield from ((evaluation, self._row(stopped.row, {})) for evaluation in wanted)
+                continue
+            yield from self._evaluate(method, twin, about, wanted, recording, report)
 
     def _method(self, name: str) -> Method:
         with as_status():
@@ -269,7 +300,7 @@ class Runner:
             "preset": self.settings.preset,
             "split": self.split,
             "appearance": self._look(fit, evaluation),
-            "data_checksum": self._checksums[evaluation.target],
+            "data_checksum": "" if evaluation.target in self._lost else self._checksums[evaluation.target],
             "code_checksum": digest(SOURCES.files(*self._modules(fit.method))),
         }
 
@@ -297,7 +328,8 @@ class Runner:
 
     def _look(self, fit: Fit, evaluation: Evaluation) -> str:
         """Which appearance the twin is shown with; "" where no metric looks at images or there are none."""
-        seen = self.settings.images and self._checksums[images_of(evaluation.target)]
+        target = evaluation.target
+        seen = self.settings.images and target not in self._lost and self._checksums[images_of(target)]
         return getattr(self._found(fit.method), "appearance", Method.appearance) if seen else ""
 
     def row_origin(self, fit: Fit, evaluation: Evaluation) -> Origin:
@@ -338,9 +370,18 @@ class Runner:
             say(f"{fit.method} on {_short(fit.sources)}: refitted because {why}")
 
     def _load(self, name: str) -> Scenario:
+        """The recording of that name, read once. Raises Stopped where it cannot be read, and does not try again."""
         scenario = self._loaded.get(name)
+        if scenario is None and name not in self._lost:
+            try:
+                scenario = self._loaded[name] = self.collection.load(name)
+            except ImportError:  # a package that is asked for: no fault of the recording
+                raise
+            except Exception as error:  # a damaged file may make any reader fail in any way
+                said = str(error) if isinstance(error, ValueError | OSError) else f"{type(error).__name__}: {error}"
+                self._lost[name] = f"{name} cannot be read: {said}"
         if scenario is None:
-            scenario = self._loaded[name] = self.collection.load(name)
+            raise Stopped(status="unreadable", reason=self._lost[name])
         return scenario
 
 

@@ -1,4 +1,4 @@
-"""How a row ended: "ok", or "diverged", "skipped" or "failed" with the reason."""
+"""How a row ended: "ok", or "diverged", "skipped", "failed" or "unreadable" (a recording that it needs) with the reason."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from pathlib import Path
 
 from ..methods.base import Diverged
 
-__all__ = ["Stopped", "as_status"]
+__all__ = ["FAULTS", "Stopped", "as_status"]
+
+FAULTS = ("failed", "unreadable")  # what somebody has to mend: a run with such rows ends with code 1
 
 
 class Stopped(Exception):

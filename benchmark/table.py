@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from .plan import TASKS
 from .results import Results
+from .text import in_markdown
 
 __all__ = [
     "Block",
@@ -15,9 +16,11 @@ __all__ = [
     "Sheet",
     "blocks",
     "escape",
+    "laid_out",
     "latex",
     "latex_table",
     "markdown",
+    "markdown_table",
     "notes",
     "number",
     "remarks",
@@ -131,7 +134,7 @@ def notes(results: Results) -> list[str]:
     groups: dict[tuple, list[dict]] = {}
     twins = {(row["collection"], row["method"], row["sources"], row["seed"]): row.get("note") for row in results.rows}
     for row in results.rows:
-        if row["status"] != "ok":
+        if row["status"] not in ("ok", "unreadable"):
             frame = f" at frame {row['diverged_frame']}" if row["status"] == "diverged" else ""
             key = (row["collection"], row["task"], row["method"], row["status"])
             groups.setdefault(key, []).append({**row, "where": f"{row['scenario']}{frame}"})
@@ -142,7 +145,7 @@ def notes(results: Results) -> list[str]:
         reasons = list(dict.fromkeys(row["reason"] for row in rows))
         where = ", ".join(row["where"] for row in rows[:3]) + (f" and {len(rows) - 3} more" if len(rows) > 3 else "")
         said.append(f"{collection}, {task}: {method} {status} in {len(rows)} (not in the means): {where}: {'; '.join(reasons[:3])}")
-    return said + _without_value(results) + _left_out(results) + _shown(results)
+    return said + _unreadable(results) + _without_value(results) + _left_out(results) + _shown(results)
 
 
 def _shown(results: Results) -> list[str]:
@@ -156,6 +159,15 @@ def _shown(results: Results) -> list[str]:
         if set(looks) - {"corrected"}:
             said.append(f"{collection}, appearance in images: " + "; ".join(f"{look}: {', '.join(names)}" for look, names in looks.items()))
     return said
+
+
+def _unreadable(results: Results) -> list[str]:
+    """One sentence for each recording that could not be read."""
+    lost: dict[tuple[str, str], int] = {}
+    for row in results.rows:
+        if row["status"] == "unreadable":
+            lost[row["collection"], row["reason"]] = lost.get((row["collection"], row["reason"]), 0) + 1
+    return [f"{collection}: {count} rows not scored (not in the means): {reason}" for (collection, reason), count in lost.items()]
 
 
 def _without_value(results: Results) -> list[str]:
@@ -276,11 +288,11 @@ def _fitting(block: Block, results: Results, width: int) -> list[str]:
     """Lines of one table, with the names of columns stacked where it would be wider than ``width``."""
     header = _header(block, dict(results.units))
     body = [[_aligned(text, best) for text, best in _cells(block, line, results)] for line in block.lines]
-    lines = _laid_out([name.split() for name in header], body)
-    return lines if max(map(len, lines)) <= width else _laid_out([name.replace("_", "_ ").split() for name in header], body)
+    lines = laid_out([name.split() for name in header], body)
+    return lines if max(map(len, lines)) <= width else laid_out([name.replace("_", "_ ").split() for name in header], body)
 
 
-def _laid_out(names: Sequence[Sequence[str]], body: list[list[str]]) -> list[str]:
+def laid_out(names: Sequence[Sequence[str]], body: list[list[str]]) -> list[str]:
     """Lines of one table: the words of each column's name above each other, and rules."""
     height = max(len(words) for words in names)
     head = [[f"{word} " for word in row] for row in zip(*([""] * (height - len(words)) + list(words) for words in names), strict=True)]
@@ -312,11 +324,17 @@ def markdown(results: Results) -> str:
     """The tables in Markdown; the best of a column is bold."""
     parts = []
     for block in blocks(results):
-        header = _header(block, dict(results.units))
-        rows = [[f"**{text}**" if best else text.strip() for text, best in _cells(block, line, results)] for line in block.lines]
-        rule = ["---", *["---:"] * (len(header) - 1)]
-        parts.append("\n".join([f"**{_caption(block)}**", "", *("| " + " | ".join(row) + " |" for row in [header, rule, *rows])]))
-    return "\n\n".join([*parts, _legend(results), *(f"- {note}" for note in notes(results))]) + "\n"
+        cells = [[(in_markdown(text.strip()), best) for text, best in _cells(block, line, results)] for line in block.lines]
+        rows = [[f"**{text}**" if best else text for text, best in row] for row in cells]
+        table = markdown_table(_header(block, dict(results.units)), rows)
+        parts.append(f"**{in_markdown(_caption(block))}**\n\n{table}")
+    return "\n\n".join([*parts, _legend(results), *(f"- {in_markdown(note)}" for note in notes(results))]) + "\n"
+
+
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """One table. ``header`` is plain text, the cells of ``rows`` are Markdown; columns but the first are aligned on the right."""
+    names, rule = [name.replace("|", r"\|") for name in header], ["---", *["---:"] * (len(header) - 1)]
+    return "\n".join("| " + " | ".join(row) + " |" for row in [names, rule, *rows])
 
 
 def latex(results: Results) -> str:

@@ -46,6 +46,7 @@ class Tracker(Method):
 
     name = "tracker"
     whole = True
+    twin_class = Tracked
     skip_transfer = OWN_RECORDING
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):

@@ -42,13 +42,14 @@ class PhysTwinLayout:
     def open(self, path: Path, *, split: str = "published") -> Collection:
         """All cases at ``path``. Pairs are the published ones, and for other cases those of one ``object`` in their scenario.json.
 
-        With ``split="clean"`` a pair whose two recordings were cut from one session is left out.
+        With ``split="clean"`` a pair whose two recordings were cut from one session is left out. A case whose scenario.json cannot be read
+        is in no pair of these; reading the case says why.
         """
         cases = case_folders(path)
         if not cases:
             raise ValueError(f"{path}: no case there (a folder with final_data.pkl)")
         whole = set(cases) == set(CASES)
-        about = {name: read_extra(folder) for name, folder in cases.items()}
+        about = {name: _about(folder) for name, folder in cases.items()}
         pairs = [p for p in _pairs(about) if split == "published" or not _share_session(p, about)]
         return Collection(
             name="phystwin" if whole else Path(path).resolve().name,
@@ -60,10 +61,18 @@ class PhysTwinLayout:
         )
 
 
+def _about(folder: Path) -> dict:
+    try:
+        return read_extra(folder)
+    except (OSError, ValueError, RecursionError):
+        return {"object": None, "session": ""}
+
+
 def _pairs(about) -> Iterable[TransferPair]:
     yield from (p for p in PAIRS if p.target in about and set(p.sources) <= set(about))
     others = [name for name in about if name not in CASES]
-    yield from (TransferPair((a,), b) for a in others for b in others if a != b and about[a]["object"] == about[b]["object"])
+    alike = ((a, b) for a in others for b in others if a != b and about[a]["object"] == about[b]["object"] is not None)
+    yield from (TransferPair((a,), b) for a, b in alike)
 
 
 def _share_session(pair, about):

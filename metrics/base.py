@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal, Protocol, overload
 
 import numpy as np
 
@@ -101,13 +101,58 @@ class Score:
     reason: str = field(default="", repr=False)
 
 
-def score(metric: Metric, prediction: Prediction, scenario: Scenario, frames: Sequence[int]) -> Score:
-    """Average ``metric`` over ``frames``.
+@dataclass(frozen=True)
+class Positions:
+    """Predicted positions (T, M, 3) as an array: its first particles are the recording's tracked points, then come its surface points."""
+
+    positions: np.ndarray
+    counts: tuple[int, int]
+
+    @classmethod
+    def of(cls, array, scenario: Scenario) -> Positions:
+        """Raises ValueError where ``array`` holds neither the tracked points alone, nor these with the surface, nor all particles."""
+        array, counts = np.asarray(array, float), scenario.counts
+        allowed = (counts[0], sum(counts[:2]), sum(counts))
+        if array.ndim != 3 or array.shape[2] != 3 or array.shape[1] not in allowed:
+            rule = f"(frames, particles, 3) with {' or '.join(map(str, dict.fromkeys(allowed)))} particles"
+            raise ValueError(f"positions must have shape {rule} (scenario {scenario.name}), got {array.shape}")
+        return cls(array, (counts[0], counts[1] if array.shape[1] > counts[0] else 0))
+
+    @property
+    def tracked(self) -> np.ndarray:
+        return self.positions[:, : self.counts[0]]
+
+    @property
+    def surface(self) -> np.ndarray:
+        return self.positions[:, : sum(self.counts)]
+
+
+@overload
+def score(
+    metric: Metric | str, prediction: Prediction | np.ndarray, scenario: Scenario, frames: Sequence[int] | None = None
+) -> Score: ...
+@overload
+def score(
+    metric: Sequence[Metric | str], prediction: Prediction | np.ndarray, scenario: Scenario, frames: Sequence[int] | None = None
+) -> dict[str, Score]: ...
+def score(metric, prediction, scenario, frames=None):
+    """Average ``metric``, by name or itself, over ``frames``: by default the test frames, or where there are none all after frame 0.
+
+    ``prediction`` is a roll-out, or positions in metres as an array (T, M, 3): the recording's tracked points in their order, then, if
+    wanted, its surface and interior points. Several metrics give a dictionary by name.
 
     A frame that the recording cannot score is left out and counted. A frame that the prediction does not reach (NaN or
-    infinity) makes the mean NaN: a roll-out that blew up has no score, not the score of its good beginning.
+    infinity) makes the mean NaN: a roll-out that blew up has no score, not the score of its good beginning. Raises ValueError for an
+    unknown name, a wrong shape, and a frame that is not there.
     """
-    return scores({metric.name: metric}, prediction, scenario, frames)[metric.name]
+    several = not isinstance(metric, str | Metric)
+    found = [get_metric(one) if isinstance(one, str) else one for one in (metric if several else [metric])]
+    if isinstance(prediction, np.ndarray):
+        prediction = Positions.of(prediction, scenario)
+    if frames is None:
+        frames = scenario.split.test or range(1, scenario.frame_count)
+    values = scores({one.name: one for one in found}, prediction, scenario, frames)
+    return values if several else values[found[0].name]
 
 
 def scores(metrics: Mapping[str, Metric], prediction: Prediction, scenario: Scenario, frames: Sequence[int]) -> dict[str, Score]:

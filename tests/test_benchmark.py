@@ -271,15 +271,39 @@ def test_a_recording_without_test_frames_has_no_prediction(tmp_path):
     assert (rows["prediction"]["status"], rows["prediction"]["reason"]) == ("skipped", "the recording has no frames for prediction")
 
 
-def test_a_recording_that_cannot_be_read_is_known_before_any_fit(tmp_path):
+def test_a_recording_that_cannot_be_read_is_known_before_any_fit_and_the_others_are_scored(tmp_path):
     def broken():
+        calls["broken"] += 1
+        assert calls["fit"] == 0
         raise ValueError("final_data.pkl: object_points is missing")
 
+    found = collection(a=made("a"), b=made("b", seed=1), c=made("c", seed=2))
+    pairs = (TransferPair(("a",), "b"), TransferPair(("a",), "c"), TransferPair(("b",), "c"), TransferPair(("c", "b"), "a"))
+    found = replace(found, scenarios={**found.scenarios, "b": broken}, in_domain=("a", "b", "c"), pairs=pairs)
+    rows = run(tmp_path, found, use={"echo": EchoMethod, "static": methods()["static"]})
+    said = {(row["method"], row["task"], row["sources"], row["scenario"]): (row["status"], row["reason"]) for row in rows}
+    assert len(said) == len(rows) == 2 * (3 * 2 + 4)
+    for (_, _, sources, scenario), (status, reason) in said.items():
+        lost = "b" in (*sources.split("+"), scenario)
+        assert (status, reason) == (("unreadable", "b cannot be read: final_data.pkl: object_points is missing") if lost else ("ok", ""))
+    assert calls["broken"] == 1  # once is enough
+    results = Results.of(rows, metrics(), [found])
+    assert notes(results)[0] == "made: 10 rows not scored (not in the means): b cannot be read: final_data.pkl: object_points is missing"
+    assert "| echo |" in markdown(results) and "| 2 of 3 |" in markdown(results)
+
+
+def test_a_recording_that_is_lost_on_the_way_is_a_row_too(tmp_path):
     found = collection()
-    found = replace(found, scenarios={**found.scenarios, "lift": broken})
-    with pytest.raises(ValueError, match="object_points is missing"):
-        run(tmp_path, found)
-    assert calls["fit"] == 0
+    loads = found.scenarios["lift"]
+
+    def once():
+        if calls["load lift"]:
+            raise FileNotFoundError(2, "No such file or directory", "lift/final_data.pkl")
+        return replace(loads())  # which nobody else holds
+
+    rows = by_task(run(tmp_path, replace(found, scenarios={**found.scenarios, "lift": once})))
+    assert {task: row["status"] for task, row in rows.items()} == {"resimulation": "ok", "prediction": "ok", "transfer": "unreadable"}
+    assert "lift/final_data.pkl" in rows["transfer"]["reason"]
 
 
 # --- what is remembered

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -56,8 +57,12 @@ def test_run_prints_and_writes_the_table(cases, capsys):
     out, err = capsys.readouterr()
     for text in ("thing, resimulation", "thing, prediction", "thing, transfer", "static", "rigid", "chamfer_", "[mm]"):
         assert text in out
-    assert err == ""  # the progress bar keeps quiet without a terminal
-    folder = Path("results/thing")
+    # a line a step where there is no terminal
+    assert [re.sub(r"after .*", "after", line) for line in err.splitlines()] == [
+        f"thing: {n} of 4: {method} on {name}: scored after"
+        for n, (name, method) in enumerate(product(("lift_once", "lift_twice"), ("static", "rigid")), 1)
+    ]
+    folder = Path("results/thing/latest")
     tables = [f"{name}.{kind}" for name, kinds in {"leaderboard": ("csv", "md", "tex"), "table": ("md", "tex")}.items() for kind in kinds]
     assert sorted(file.name for file in folder.iterdir()) == sorted(["about.json", "rows.csv", "rows.parquet", *tables])
     # resimulation: frames 1..6 at 10 mm a frame along z, where the static twin's matched particles stay behind: mean 35 mm
@@ -71,19 +76,19 @@ def test_table_prints_again_what_run_printed(cases, capsys):
     assert main(["table", "here"]) == 0
     assert capsys.readouterr().out.strip() in printed
     main(["table", "here", "--format", "markdown"])
-    assert capsys.readouterr().out.strip() == Path("here/table.md").read_text().strip()
+    assert capsys.readouterr().out.strip() == Path("here/latest/table.md").read_text().strip()
 
 
 def test_scenarios_tasks_and_seeds_are_chosen(cases, capsys):
     assert run("--data", cases, "--scenarios", "lift_twice", "--tasks", "prediction", "--seeds", 0, 1, "--out", "o") == 0
-    lines = Path("o/rows.csv").read_text().splitlines()
+    lines = Path("o/latest/rows.csv").read_text().splitlines()
     assert len(lines) == 1 + 2 * 2 and all("lift_twice" in line and ",prediction," in line for line in lines[1:])
 
 
 def test_the_leaderboard_goes_where_it_is_asked(cases):
     assert run("--data", cases, "--out", "o", "--leaderboard", "board", "--seeds", 0, 1) == 0
     assert sorted(file.name for file in Path("board").iterdir()) == ["leaderboard.csv", "leaderboard.md", "leaderboard.tex"]
-    assert not list(Path("o").glob("leaderboard*"))
+    assert not list(Path("o/latest").glob("leaderboard*"))
     # two recordings and two seeds of a method without randomness: over seeds, and nothing varies
     assert "| 35.00 ± 0.00 |" in Path("board/leaderboard.md").read_text()
 
@@ -94,7 +99,7 @@ def test_all_stands_for_every_method(cases, monkeypatch):
     few = {name: found for name, found in registry.methods().items() if name in ("static", "rigid")}
     monkeypatch.setattr(registry, "methods", lambda: few)
     assert main(["run", "--methods", "all", "--data", str(cases), "--out", "o"]) == 0
-    assert {row.split(",")[3] for row in Path("o/rows.csv").read_text().splitlines()[1:]} == set(few)
+    assert {row.split(",")[3] for row in Path("o/latest/rows.csv").read_text().splitlines()[1:]} == set(few)
 
 
 @pytest.fixture
@@ -103,8 +108,8 @@ def ablations(monkeypatch):
 
     made = {"bodies": Ablation("whether bodies move", ("static", "rigid"), metrics=("track_error",)), "tracker": ABLATIONS["tracks"]}
     made["tracker"] = replace(made["tracker"], compared=("static",))
-    monkeypatch.setattr("twinbench.benchmark.ablations.ABLATIONS", made)
-    monkeypatch.setattr("twinbench.benchmark.experiment.ABLATIONS", made)
+    for module in ("api", "experiment"):
+        monkeypatch.setattr(f"twinbench.benchmark.{module}.ABLATIONS", made)
     return made
 
 
@@ -112,11 +117,11 @@ def test_an_ablation_prints_and_writes_its_own_table(cases, ablations, capsys):
     assert main(["run", "--ablation", "bodies", "--data", str(cases)]) == 0
     out = capsys.readouterr().out
     assert out.startswith("bodies: whether bodies move\n\nthing, resimulation") and "transfer" not in out
-    header = Path("results/thing-bodies/table.md").read_text().splitlines()[2]
+    header = Path("results/thing-bodies/latest/table.md").read_text().splitlines()[2]
     assert header == "| method | track_error [mm] | n | fit [s] |"
-    assert "bodies: whether bodies move" in Path("results/thing-bodies/leaderboard.md").read_text()
+    assert "bodies: whether bodies move" in Path("results/thing-bodies/latest/leaderboard.md").read_text()
     assert main(["run", "--ablation", "bodies", "--methods", "rigid", "--tasks", "transfer", "--data", str(cases), "--out", "o"]) == 0
-    assert {tuple(row.split(",")[3:5]) for row in Path("o/rows.csv").read_text().splitlines()[1:]} == {("rigid", "transfer")}
+    assert {tuple(row.split(",")[3:5]) for row in Path("o/latest/rows.csv").read_text().splitlines()[1:]} == {("rigid", "transfer")}
 
 
 def test_the_trackers_own_tracks_are_scored_beside_a_twin(cases, ablations, capsys):
@@ -134,7 +139,7 @@ def test_a_preset_may_hold_several_tables(cases, ablations, monkeypatch, capsys)
     assert sorted(file.name for file in Path("r").iterdir()) == ["all-bodies.html", "all.html"]
     out = capsys.readouterr().out
     assert out.index("thing, transfer") < out.index("bodies: whether bodies move")
-    assert Path("o/table.md").exists() and Path("o/bodies/table.md").exists()
+    assert Path("o/latest/table.md").exists() and Path("o/bodies/latest/table.md").exists()
     assert main(["run", "--preset", "paper", "--methods", "rigid"]) == 0  # who says what to compare is given that alone
     assert "bodies:" not in capsys.readouterr().out
 
@@ -142,7 +147,7 @@ def test_a_preset_may_hold_several_tables(cases, ablations, monkeypatch, capsys)
 def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
     # the sample has images, and the baselines need no time
     assert run("--metrics", "chamfer,track_error", "--out", "o") == 0
-    header = Path("o/table.md").read_text().splitlines()[2]
+    header = Path("o/latest/table.md").read_text().splitlines()[2]
     assert header == "| method | chamfer [mm] | track_error [mm] | n | fit [s] |"
     assert not list(Path("cache").glob("appearances*"))
 
@@ -150,7 +155,7 @@ def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, picture, check, download, list"),
+        (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, compare, picture, check, download, list"),
         (["run", "--methods", "ridgid"], "unknown method 'ridgid'; did you mean 'rigid'?"),
         (["run", "--metrics", "chamfre"], "unknown metric 'chamfre'; did you mean 'chamfer'?"),
         (["run", "--tasks", "predictoin"], "unknown task 'predictoin'; did you mean 'prediction'?"),
@@ -221,8 +226,8 @@ def test_a_package_that_is_not_there_is_one_line_and_a_fault_of_ours_is_not(tmp_
     assert run("--data", tmp_path) == 2
     err = capsys.readouterr().err
     assert "pip install ezc3d" in err and err.count("\n") == 1
-    monkeypatch.setitem(sys.modules, "twinbench.benchmark.opening", None)
-    with pytest.raises(ImportError, match=r"twinbench\.benchmark\.opening"):
+    monkeypatch.setitem(sys.modules, "twinbench.benchmark.api", None)
+    with pytest.raises(ImportError, match=r"twinbench\.benchmark\.api"):
         run("--data", tmp_path)
 
 
@@ -282,7 +287,7 @@ def fresh(arguments):
 
 
 def test_a_repeated_run_imports_no_engine_and_does_not_read_the_recordings(cases):
-    arguments = ["run", "--methods", "static", "rigid", "--data", str(cases)]
+    arguments = ["run", "--quiet", "--methods", "static", "rigid", "--data", str(cases)]
     assert fresh(arguments)[0] == 0
     assert fresh(arguments) == [0, []]
 

@@ -1,6 +1,7 @@
 """The commands of ``twinbench``, a file each."""
 
 from .check import Check
+from .compare import Compare
 from .concealed import Concealed
 from .diagnose import Diagnose
 from .download import Download
@@ -15,6 +16,7 @@ __all__ = ["COMMANDS"]
 COMMANDS = {
     "run": Run,
     "table": Table,
+    "compare": Compare,
     "picture": Picture,
     "check": Check,
     "download": Download,

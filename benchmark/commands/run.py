@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
-from ..options import DEVICES, SPLITS, Names, chosen, chosen_methods, chosen_metrics, known, writable
+from ..options import Names, writable
+from ..text import shown
 
 __all__ = ["Run"]
 
@@ -18,7 +19,8 @@ class Run:
     """Fit twins, roll them out, score them, and print the table.
 
     Fitted twins and scored rows are kept in .cache/twinbench (or $TWINBENCH_CACHE): a killed run goes on where it stopped and a
-    repeated run is instant. A method that fails or diverges on a recording is said below the table; the exit code is 1 if any failed.
+    repeated run is instant. A method that fails or diverges on a recording, and a recording that cannot be read, are said below the table;
+    the exit code is 1 if anything failed or could not be read.
     """
 
     data: Annotated[tuple[str, ...] | None, arg(metavar="PATH ...")] = None
@@ -42,85 +44,52 @@ class Run:
     """Where to compute: cpu or cuda."""
     split: str = "published"
     """Which split: published, or clean (no recording session on both sides)."""
+    jobs: int | None = None
+    """Processes that share the work; the results are the same. Default: one for each graphics card, or one."""
+    quiet: bool = False
+    """Say nothing on standard error of how far it is."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Folder for the rows, table.md, table.tex and the leaderboard. Default: results/NAME of the recordings; an ablation's beside it."""
+    """Folder in which this run gets a folder of its own, and a link named latest leads to it. Default: results/NAME of the recordings; an
+    ablation's beside it."""
     leaderboard: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Folder for leaderboard.md, leaderboard.csv and leaderboard.tex. Default: that of --out."""
+    """Folder for leaderboard.md, leaderboard.csv and leaderboard.tex, which are replaced there. Default: the run's own."""
     report: Annotated[Path | None, arg(metavar="FILE")] = None
     """Also write one HTML file with the tables and, frame by frame, what every twin did. It opens without a network."""
 
     def __call__(self) -> int:
-        from ..cache import Cache, default_cache
-        from ..opening import open_recordings
-        from ..presets import PRESETS
+        from ..api import studies
 
-        for option, value, choices in (("preset", self.preset, PRESETS), ("device", self.device, DEVICES), ("split", self.split, SPLITS)):
-            known(option, [value], choices)
-        for option in ("data", "methods", "tasks", "seeds"):
-            if getattr(self, option) == ():
-                raise ValueError(f"--{option} needs at least one value")
-        preset, cache = PRESETS[self.preset], Cache(default_cache())
-        wanted = self._experiments(preset)
-        for path in () if self.data else preset.data:
-            if path != "sample" and not Path(path).exists():
-                raise ValueError(
-                    f"--preset {self.preset} is for the recordings in {path}: twinbench download data brings them, --data names others"
-                )
-        opened = [open_recordings(path, split=self.split, cache=cache) for path in dict.fromkeys(self.data or preset.data)]
-        known("scenario", self.scenarios, list(dict.fromkeys(name for found in opened for name in found.collection.scenarios)))
-        planned = [(one, work) for one in wanted if (work := one.plan(opened, seeds=self.seeds, scenarios=self.scenarios))]
-        if not planned:
-            raise ValueError(f"nothing to do: no task of {', '.join(wanted[0].tasks)} is scored on the chosen recordings")
-        failed = [self._run(one, work, cache, preset.budget, alone=len(planned) == 1) for one, work in planned]
+        asked = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("out", "leaderboard", "report")}
+        found = studies(**asked)
+        failed = [self._run(study, alone=len(found) == 1) for study in found]
         return 1 if any(failed) else 0
 
-    def _experiments(self, preset) -> list:
-        """The main table and the preset's ablations, or the one ablation that is asked for."""
-        from ..ablations import ABLATIONS
-        from ..experiment import Experiment
-        from ..plan import TASKS
-
-        tasks, metrics = self.tasks or (), chosen_metrics(self.metrics)
-        known("task", tasks, TASKS)
-        if self.ablation:
-            known("ablation", [self.ablation], ABLATIONS)
-            found = Experiment.of(self.ablation, metrics, tasks=tasks)
-            return [replace(found, methods=chosen("variant", self.methods, found.methods))] if self.methods else [found]
-        main = Experiment(chosen_methods(self.methods or preset.methods), metrics, tuple(tasks) or tuple(TASKS))
-        further = () if self.methods or self.tasks else preset.ablations
-        return [main, *(Experiment.of(name, metrics) for name in further)]
-
-    def _run(self, experiment, work, cache, budget: str, *, alone: bool) -> bool:
+    def _run(self, study, *, alone: bool) -> bool:
         """One table: computed, written and printed. Whether anything in it failed."""
-        from ..leaderboard import write_leaderboard
-        from ..results import write_results
-        from ..table import terminal
+        from ..folders import name_for
+        from ..status import FAULTS
 
-        name, own = experiment.name, "" if alone else experiment.name
-        folder = Path("results") / "-".join(filter(None, ("+".join(dict.fromkeys(found.collection.name for found, _ in work)), name)))
-        folder = writable(self.out / own if self.out else folder)
-        board = writable(self.leaderboard / own if self.leaderboard else folder, option="--leaderboard")
+        experiment, own = study.experiment, "" if alone else study.experiment.name
+        place = writable(self.out / own if self.out else Path("results") / name_for(study.collections, experiment.name))
+        board = writable(self.leaderboard / own, option="--leaderboard") if self.leaderboard else None
         report = self.report and self.report.with_stem("-".join(filter(None, (self.report.stem, own))))
         if report:
             writable(report.parent, option="--report")
-        results = experiment.run(work, cache=cache, budget=budget, device=self.device)
-        written = [
-            *write_results(results, folder),
-            *write_leaderboard(results, board, says=experiment.says, published=experiment.published),
-        ]
-        print("\n\n".join(filter(None, (experiment.says, terminal(results)))))
-        notes = [found.note for found, _ in work if found.note]
+        results = study.write(study.run(), place, board=board)
+        print("\n\n".join(filter(None, (experiment.says, str(results)))))
+        notes = [found.note for found, _ in study.work if found.note]
         for note in notes:
-            print(note)
-        for place in dict.fromkeys(path.parent for path in written):
-            print(f"\nWritten to {place}: {', '.join(path.name for path in written if path.parent == place)}")
+            print(shown(note))
+        print(f"\nWritten to {shown(str(results.folder))}: {', '.join(sorted(file.name for file in results.folder.iterdir()))}")
+        if board:
+            print(f"\nWritten to {shown(str(board))}: leaderboard.csv, leaderboard.md, leaderboard.tex")
         if report:
             from ..progress import Bar
             from ..report import Replay, write_report
 
-            settings = experiment.settings(budget, self.device)
-            with Bar("report") as bar:
-                runs = [(Replay(found, settings, cache), fits) for found, fits in work]
+            settings = experiment.settings(study.budget, self.device)
+            with Bar("report", quiet=self.quiet) as bar:
+                runs = [(Replay(found, settings, study.cache), fits) for found, fits in study.work]
                 write_report(results, runs, report, notes=notes, progress=bar)
-            print(f"Report: {report}")
-        return any(row["status"] == "failed" for row in results.rows)
+            print(f"Report: {shown(str(report))}")
+        return any(row["status"] in FAULTS for row in results.rows)

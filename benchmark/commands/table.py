@@ -15,10 +15,10 @@ __all__ = ["Table"]
 
 @dataclass(frozen=True)
 class Table:
-    """Print again the table of a folder that twinbench run wrote."""
+    """Print again the table of a run."""
 
     folder: Annotated[Positional[Path], arg(metavar="DIR")]
-    """Folder with rows.parquet."""
+    """Folder of a run, or the folder above it for the latest there."""
     format: str = "terminal"
     """terminal, markdown or latex."""
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from ..cache import replacing
 from ..plan import Fit
 from ..results import Results
-from .exhibits import Replay, exhibits
+from .exhibits import Exhibit, Replay, exhibits
 from .page import page
 from .showing import show
 
@@ -30,11 +30,12 @@ def write_report(
 
     ``runs`` are the fits that the rows come from, each collection's with what reads its twins from the cache: nothing is fitted. Of several
     seeds the first is shown; means are over all. Of a long run fewer frames are shown, at least 6 of each recording. ``notes`` are printed
-    below the tables' own.
+    below the tables' own. Recordings that could not be read are named there only.
 
     Raises OSError where the file cannot be written, ValueError where a recording cannot be read.
     """
     found = [(replay, exhibit) for replay, fits in runs for exhibit in exhibits(replay.collection, fits)]
+    found = [(replay, exhibit) for replay, exhibit in found if _readable(exhibit, results.rows)]
     panels = sum(1 + len(exhibit.rollouts) for _, exhibit in found)
     frames = min(max(PANELS // max(panels, 1), FEWEST), MOST)
     shown = []
@@ -49,3 +50,7 @@ def write_report(
     with replacing(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="replace")
     progress("done", 1.0)
+
+
+def _readable(exhibit: Exhibit, rows: Iterable[Mapping]) -> bool:
+    return any(row["status"] != "unreadable" for row in exhibit.rows(rows))

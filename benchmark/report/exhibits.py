@@ -61,7 +61,10 @@ class Replay(Player):
 
     def load(self, name: str) -> Scenario:
         """The recording of that name. Raises ValueError where it cannot be read."""
-        return self._load(name)
+        try:
+            return self._load(name)
+        except Stopped as stopped:
+            raise ValueError(stopped.row["reason"]) from stopped
 
     def play_exhibit(self, exhibit: Exhibit, rows: Sequence[Mapping], *, progress) -> tuple[dict[str, Trajectory], dict[str, str]]:
         """By method the roll-out, and why there is none, or none to its end. ``rows`` are the exhibit's."""
