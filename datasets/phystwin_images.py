@@ -52,11 +52,13 @@ class CaseImages:
     def mask(self, camera: int, frame: int) -> np.ndarray:
         """(H, W) bool, the object: the segmentation, or the cleaned mask (processed_masks.pkl) where only that is there."""
         self._within_reach(frame)
-        if not (self.folder / "mask" / f"mask_info_{camera}.json").exists() and (self.folder / "mask" / "processed_masks.pkl").exists():
+        file = self.folder / "mask" / "processed_masks.pkl"
+        if not (self.folder / "mask" / f"mask_info_{camera}.json").exists() and file.exists():
             try:
-                return np.asarray(self._processed[frame][camera]["object"], bool)
+                mask = self._processed[frame][camera]["object"]
             except (KeyError, IndexError, TypeError):
-                raise ValueError(f"{self.folder / 'mask' / 'processed_masks.pkl'}: no frame {frame} of camera {camera}") from None
+                raise ValueError(f"{file}: no frame {frame} of camera {camera}") from None
+            return safe_pickle.array_of(mask, file, f"the mask of camera {camera} in frame {frame}").astype(bool)
         labels = mask_labels(self.folder, camera)
         ids = [i for i, label in labels.items() if label != HAND]
         if len(ids) != 1:

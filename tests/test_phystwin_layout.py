@@ -418,7 +418,7 @@ BAD = {
         r"final_data.pkl: object_points must have shape \(frames, points, 3\), got \(4, 12\)",
     ),
     "NaN points": (lambda f: _edit(f, object_points=nan_row), r"case: points must be finite"),
-    "text points": (lambda f: _edit(f, object_points="x"), "final_data.pkl: object_points must be an array, got a str"),
+    "text points": (lambda f: _edit(f, object_points="x"), "final_data.pkl: object_points must be an array of numbers, got a str"),
     "NaN controllers": (lambda f: _edit(f, controller_points=np.full((4, 2, 3), np.nan)), "controllers must be finite"),
     "short controllers": (lambda f: _edit(f, controller_points=np.zeros((3, 2, 3))), "controllers must cover every frame"),
     "wrong flags": (lambda f: _edit(f, object_visibilities=np.ones((4, 11), bool)), r"visible must have shape \(4, 12\)"),
