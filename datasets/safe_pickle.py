@@ -42,9 +42,15 @@ def load(path: str | Path):
         _Scale(machine.budget).weigh(result)
         return result
     except Refused as error:
-        raise ValueError(f"{path}: refused, {error}; a case may hold only numpy arrays, dicts, lists and scalars") from None
+        raise ValueError(f"{path}: refused, {_said(error)}; a case may hold only numpy arrays, dicts, lists and scalars") from None
     except Exception as error:  # a damaged program can fail in any way
-        raise ValueError(f"{path}: not a complete pickle ({machine.where()}: {str(error)[:200] or type(error).__name__})") from None
+        raise ValueError(f"{path}: not a complete pickle ({machine.where()}: {_said(error)})") from None
+
+
+def _said(error):
+    """What an error says, with what a terminal might obey spelled out: names and numbers in it are the file's."""
+    text = (str(error) or type(error).__name__)[:300]
+    return text if text.isprintable() else ascii(text)[1:-1]
 
 
 class _Scale:
