@@ -351,7 +351,7 @@ def test_lists_in_the_place_of_arrays_are_refused_by_all_who_read_a_case(tmp_pat
 
     case = shutil.copytree(SAMPLE, tmp_path / "case")
     shared = [0.0, None]
-    for _ in range(16):
+    for _ in range(10):
         shared = [shared] * 2
     value = pickle.loads((case / file).read_bytes()) if (case / file).exists() else None
     frames = len(pickle.loads((case / "final_data.pkl").read_bytes())["object_points"])
