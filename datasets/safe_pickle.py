@@ -16,8 +16,8 @@ from .pickle_machine import Machine
 
 __all__ = ["array_of", "load", "numbers_of"]
 
-BUDGET = 64 << 20  # bytes that any file may make, and for each of its own bytes
-BUDGET_PER_BYTE = 16  # a pair of small integers, 6 bytes in a file, takes 90 in Python
+BUDGET = 64 << 20  # bytes that any file may make
+BUDGET_PER_BYTE = 16  # and as many more for each byte of it: a pair of small integers, 6 in a file, takes 90 in Python
 MAX_DEPTH = 100  # levels of nesting
 _NUMBERS = (bool, int, float)
 
