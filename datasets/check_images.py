@@ -55,7 +55,7 @@ def check_poses(report, cameras):
     if cameras is not None and len(poses) != cameras:
         report.error(file, f"{len(poses)} camera matrices, but metadata.json has intrinsics of {cameras}")
     for camera, pose in enumerate(poses):
-        pose = np.asarray(pose, float)
+        pose = safe_pickle.numbers_of(pose, report.folder / file, f"matrix of camera {camera}")
         if pose.shape != (4, 4) or not np.isfinite(pose).all():
             report.error(file, f"matrix of camera {camera} must be 4 x 4 and finite, got shape {pose.shape}")
         elif not _is_rigid(pose):
@@ -143,9 +143,10 @@ def _check_processed(report, frames, cameras):
     for t in range(len(masks)):
         for camera in range(cameras or 0):
             try:
-                shape = np.shape(masks[t][camera]["object"]), np.shape(masks[t][camera]["controller"])
+                pair = masks[t][camera]["object"], masks[t][camera]["controller"]
             except (KeyError, IndexError, TypeError):
                 return report.error(file, f"must hold 'object' and 'controller' masks of every camera; frame {t}, camera {camera} has none")
+            shape = [safe_pickle.array_of(mask, report.folder / file, f"a mask of frame {t}, camera {camera}").shape for mask in pair]
             if shape[0] != shape[1] or len(shape[0]) != 2:
                 return report.error(file, f"frame {t}, camera {camera}: masks must be (H, W), got shapes {shape[0]} and {shape[1]}")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .markers import MarkerCollection, collect, read_splits
-from .safe_pickle import load
+from .safe_pickle import load, numbers_of
 
 __all__ = ["LAYOUT", "Deform", "read_deform"]
 
@@ -24,11 +24,7 @@ PUBLISHED = {"DLO1": 0.01010, "DLO2": 0.0097}  # m, mean absolute coordinate err
 
 def read_deform(file: Path) -> np.ndarray:
     """Markers (T, V, 3) in metres. Raises ValueError, naming the file, where it is no list of 3 x V frames of numbers."""
-    data = load(file)
-    try:
-        frames = np.asarray(data)
-    except ValueError as error:
-        raise ValueError(f"{file}: every frame must hold 3 lists of equally many numbers ({error})") from None
+    frames = numbers_of(load(file), file, "the frames")
     if frames.dtype.kind not in "iuf" or frames.ndim != 3 or frames.shape[1] != 3 or frames.shape[2] < 5:
         raise ValueError(f"{file}: must hold (frames, 3, markers >= 5) numbers, got shape {frames.shape} of type {frames.dtype}")
     return frames.astype(float).transpose(0, 2, 1)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .markers import MarkerCollection, collect, infer_paths, read_splits
-from .safe_pickle import load
+from .safe_pickle import load, numbers_of
 
 __all__ = ["LAYOUT", "Deft", "read_deft"]
 
@@ -51,11 +51,7 @@ def read_deft(file: Path, markers: int | None = None) -> np.ndarray:
 
     Raises ValueError, naming the file, where it is no 3 lists of T x V numbers or T disagrees with the name.
     """
-    data = load(file)
-    try:
-        axes = np.asarray(data)
-    except ValueError as error:
-        raise ValueError(f"{file}: must hold 3 lists of equally many numbers ({error})") from None
+    axes = numbers_of(load(file), file, "the 3 axes")
     if axes.dtype.kind not in "iuf" or axes.shape[:-1] not in ((3,), (1, 3)) or axes.shape[-1] == 0:
         raise ValueError(f"{file}: must hold 3 lists of frames x markers numbers, got shape {axes.shape} of type {axes.dtype}")
     values = axes.shape[-1]

@@ -60,7 +60,7 @@ def read_case(folder: str | Path) -> Scenario:
             fps=_fps(metadata),
             cameras=_read_cameras(folder, metadata),
             images=CaseImages(folder, length) if any((folder / kind).is_dir() for kind in ("color", "depth", "mask")) else None,
-            tracks=safe_pickle.load(tracks) if tracks.exists() else None,
+            tracks=safe_pickle.array_of(safe_pickle.load(tracks), tracks, "the content") if tracks.exists() else None,
         )
     except (ValueError, TypeError) as error:
         raise ValueError(f"{folder}: {error}") from None
@@ -75,8 +75,7 @@ def read_arrays(file: Path) -> dict:
     if missing:
         raise ValueError(f"{file}: {', '.join(missing)} missing; it holds {', '.join(map(str, data)) or 'nothing'}")
     for key in set(ARRAYS) & set(data):
-        if not isinstance(data[key], np.ndarray):
-            raise ValueError(f"{file}: {key} must be an array, got a {type(data[key]).__name__}")
+        safe_pickle.array_of(data[key], file, key)
     if data["object_points"].ndim != 3:
         raise ValueError(f"{file}: object_points must have shape (frames, points, 3), got {data['object_points'].shape}")
     return data
@@ -144,8 +143,8 @@ def _read_cameras(folder, metadata):
     file = folder / "calibrate.pkl"
     if not file.exists() or not metadata.get("intrinsics"):
         return ()
-    poses, intrinsics = safe_pickle.load(file), metadata["intrinsics"]
-    if not isinstance(poses, (list, tuple, np.ndarray)) or len(poses) != len(intrinsics):
+    poses, intrinsics = safe_pickle.numbers_of(safe_pickle.load(file), file, "the content"), metadata["intrinsics"]
+    if poses.ndim != 3 or len(poses) != len(intrinsics):
         raise ValueError(f"calibrate.pkl must hold one 4 x 4 matrix for each of the {len(intrinsics)} cameras of metadata.json")
     try:
         width, height = metadata["WH"]

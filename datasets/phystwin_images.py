@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from . import safe_pickle
 
 __all__ = ["CaseImages", "mask_labels", "read_json", "write_images"]
 
+MAX_PIXELS = 1 << 26  # 8192 x 8192, more than a camera has: a PNG of some kB can unpack to more than the memory
 HAND = "hand"  # the label that the published detector gives to hands; any other label is the object
 
 
@@ -42,8 +44,8 @@ class CaseImages:
         self._within_reach(frame)
         file = self.folder / "depth" / str(camera) / f"{frame}.npy"
         try:
-            depth = np.load(file, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
+            depth = np.load(file, mmap_mode="r", allow_pickle=False)  # mapped: a header that lies about the size takes no memory
+        except Exception as error:  # a damaged header can fail in any way
             raise ValueError(f"{file}: no depth image ({error})") from None
         if not (isinstance(depth, np.ndarray) and depth.ndim == 2 and depth.dtype.kind in "iu"):
             raise ValueError(f"{file}: depth must be a (height, width) array of integer millimetres")
@@ -52,11 +54,13 @@ class CaseImages:
     def mask(self, camera: int, frame: int) -> np.ndarray:
         """(H, W) bool, the object: the segmentation, or the cleaned mask (processed_masks.pkl) where only that is there."""
         self._within_reach(frame)
-        if not (self.folder / "mask" / f"mask_info_{camera}.json").exists() and (self.folder / "mask" / "processed_masks.pkl").exists():
+        file = self.folder / "mask" / "processed_masks.pkl"
+        if not (self.folder / "mask" / f"mask_info_{camera}.json").exists() and file.exists():
             try:
-                return np.asarray(self._processed[frame][camera]["object"], bool)
+                mask = self._processed[frame][camera]["object"]
             except (KeyError, IndexError, TypeError):
-                raise ValueError(f"{self.folder / 'mask' / 'processed_masks.pkl'}: no frame {frame} of camera {camera}") from None
+                raise ValueError(f"{file}: no frame {frame} of camera {camera}") from None
+            return safe_pickle.array_of(mask, file, f"the mask of camera {camera} in frame {frame}").astype(bool)
         labels = mask_labels(self.folder, camera)
         ids = [i for i, label in labels.items() if label != HAND]
         if len(ids) != 1:
@@ -180,11 +184,16 @@ def _cv2():
 def _read_png(file, *, color=False):
     cv2 = _cv2()
     try:
-        data = np.frombuffer(file.read_bytes(), np.uint8)
+        data = file.read_bytes()
     except OSError as error:
         raise ValueError(f"{file}: no image ({error.strerror or error})") from None
+    if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 24:
+        raise ValueError(f"{file}: not a complete image")
+    width, height = struct.unpack(">II", data[16:24])
+    if width * height > MAX_PIXELS:
+        raise ValueError(f"{file}: an image may have up to {MAX_PIXELS} pixels, got {width} x {height}")
     try:
-        image = cv2.imdecode(data, cv2.IMREAD_COLOR if color else cv2.IMREAD_GRAYSCALE)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR if color else cv2.IMREAD_GRAYSCALE)
     except cv2.error:
         image = None
     if image is None:

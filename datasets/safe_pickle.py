@@ -1,199 +1,134 @@
 """Opening pickles from other people: numpy arrays, dicts, lists, tuples and scalars come out; nothing in the file is ever run.
 
-A pickle is a program. Here its calls reach only the five functions below, which rebuild arrays from checked bytes, so neither numpy's
-own unpickling code nor any other callable sees what the file says. All else is refused by name.
+A pickle is a program. Here it is read by a machine that knows the opcodes of data alone (``pickle_machine``), and what it makes is
+weighed before it is handed on, so that no size, depth or sharing in a file can crash, hang or exhaust what uses it.
 """
 
 from __future__ import annotations
 
-import io
-import math
-import pickle
-import pickletools
-import re
+import stat
 from pathlib import Path
 
 import numpy as np
 
-__all__ = ["load"]
+from .pickle_arrays import Refused
+from .pickle_machine import Machine
 
-_PLAIN = (type(None), bool, int, float, str, bytes)
-_MODULES = ("numpy.core", "numpy._core")  # numpy 1 and numpy 2
-_BY_REFERENCE = {"EXT1", "EXT2", "EXT4", "PERSID", "BINPERSID"}  # opcodes that name objects outside of the file
+__all__ = ["array_of", "load", "numbers_of"]
+
+BUDGET = 64 << 20  # bytes that any file may make
+BUDGET_PER_BYTE = 16  # and as many more for each byte of it: a pair of small integers, 6 in a file, takes 90 in Python
+MAX_DEPTH = 100  # levels of nesting
+_NUMBERS = (bool, int, float)
 
 
 def load(path: str | Path):
     """The object in the pickle at ``path``: numpy arrays and scalars, dict, list, tuple, str, bytes, int, float, bool, None.
 
+    Keys of dicts are str, int, float, bytes, bool or None. What comes out is nested at most 100 levels deep and takes, also with all
+    that it shares written out, at most 16 times the file and 64 MiB.
     Raises ValueError, naming the file, where it cannot be read, is damaged, or asks for anything else.
     """
+    path = Path(path)
     try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from error
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise ValueError(f"{path}: cannot be read (not a file)")
+        data = path.read_bytes()
+    except (OSError, MemoryError) as error:
+        raise ValueError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or type(error).__name__})") from error
+    machine = Machine(data, BUDGET + BUDGET_PER_BYTE * len(data))
     try:
-        _scan(data)
-        return _resolve(_Unpickler(io.BytesIO(data)).load(), {})
-    except _Refused as error:
-        raise ValueError(f"{path}: refused, {error}; a case may hold only numpy arrays, dicts, lists and scalars") from None
-    except Exception as error:  # a damaged pickle can fail in any way
-        raise ValueError(f"{path}: not a complete pickle ({type(error).__name__}: {str(error)[:200]})") from None
+        result = machine.run()
+        _Scale(machine.budget).weigh(result)
+        return result
+    except Refused as error:
+        raise ValueError(f"{path}: refused, {_said(error)}; a case may hold only numpy arrays, dicts, lists and scalars") from None
+    except Exception as error:  # a damaged program can fail in any way
+        raise ValueError(f"{path}: not a complete pickle ({machine.where()}: {_said(error)})") from None
 
 
-class _Refused(Exception):
-    """The pickle is readable and asks for something that data does not need."""
+def _said(error):
+    """What an error says, with what a terminal might obey spelled out: names and numbers in it are the file's."""
+    text = (str(error) or type(error).__name__)[:300]
+    return text if text.isprintable() else ascii(text)[1:-1]
 
 
-def _scan(data: bytes) -> None:
-    """Read the opcodes without acting on them: a cut file, a lying length or a memory bomb ends here."""
-    for opcode, argument, _ in pickletools.genops(data):
-        if opcode.name in _BY_REFERENCE:
-            raise _Refused(f"its opcode {opcode.name} names an object outside of the file")
-        if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and argument > len(data):
-            raise _Refused(f"its memo index {argument} is larger than the file")
+class _Scale:
+    """Weighs data with all that it shares written out, in time proportional to what there is. Raises Refused over ``limit`` bytes."""
+
+    def __init__(self, limit: int):
+        self.limit, self.known = limit, {}  # id: (levels, bytes), or None while under way
+
+    def weigh(self, item, depth: int = 0) -> tuple[int, int]:
+        """Levels of nesting and bytes of ``item``. What is no data, is too deep or contains itself is refused."""
+        kind = type(item)
+        if kind in _NUMBERS or item is None:
+            return 0, 8
+        if kind in (str, bytes):
+            return 0, 8 + len(item)
+        if isinstance(item, np.generic) or (kind is np.ndarray and not item.dtype.hasobject):
+            return 0, 100 + item.size * max(item.itemsize, 8)  # beside floats in a list, numpy makes floats of bools
+        if kind not in (dict, list, tuple, np.ndarray):
+            raise Refused(f"it holds a {kind.__name__}")
+        if id(item) not in self.known:
+            self.known[id(item)] = None
+            self.known[id(item)] = self._weigh_parts(item, depth + 1)
+        if self.known[id(item)] is None:
+            raise Refused("it contains itself")
+        return self.known[id(item)]
+
+    def _weigh_parts(self, item, depth):
+        levels, size = 0, 56
+        for part in _parts(item) if depth <= MAX_DEPTH else ():
+            if type(part) in _NUMBERS:  # most are
+                size += 8
+                continue
+            inner = self.weigh(part, depth)
+            levels, size = max(levels, inner[0]), size + inner[1]
+        if max(depth, levels + 1) > MAX_DEPTH:
+            raise Refused(f"it is nested more than {MAX_DEPTH} levels deep")
+        if size > self.limit:
+            raise Refused(f"it takes more than {self.limit} bytes with all that it shares written out, too much for its size")
+        return levels + 1, size
 
 
-class _Unpickler(pickle.Unpickler):
-    def find_class(self, module, name):
-        try:
-            return _ALLOWED[module, name]
-        except KeyError:
-            raise _Refused(f"it calls for {module}.{name}") from None
+def _parts(item):
+    """All that a container holds."""
+    if type(item) is dict:
+        return (part for pair in item.items() for part in pair)
+    return item.flat if type(item) is np.ndarray else item
 
 
-class _Function:
-    """A callable that the pickle can neither replace nor give attributes to."""
-
-    __slots__ = ("_call",)
-
-    def __init__(self, call):
-        self._call = call
-
-    def __call__(self, *arguments):
-        return self._call(*arguments)
-
-    def __setstate__(self, state):
-        raise _Refused("it tries to change the state of a function")
+def array_of(value, file: str | Path, name: str) -> np.ndarray:
+    """``value``, which must be an array of numbers. Raises ValueError naming the file and, as ``name``, what it holds there."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "biuf":
+        raise ValueError(f"{file}: {name} must be an array of numbers, got {_kind(value)}")
+    return value
 
 
-class _Dtype:
-    """A plain numpy dtype: no fields, no sub-arrays, no metadata."""
-
-    __slots__ = ("value",)
-
-    def __init__(self, code, *flags):
-        if not (isinstance(code, str) and re.fullmatch(r"[biufcSU]\d{1,9}|O8?", code)):
-            raise _Refused(f"it holds an array of type {code!r}")
-        self.value = np.dtype(code[0] if code[0] == "O" else code)
-
-    def __setstate__(self, state):
-        order, subarray, names, fields = state[1:5]
-        if order not in ("<", ">", "=", "|") or (subarray, names, fields) != (None, None, None) or any(state[8:]):
-            raise _Refused("it holds an array of a structured type")
-        self.value = self.value.newbyteorder(order)
+def numbers_of(value, file: str | Path, name: str) -> np.ndarray:
+    """As ``array_of``, but ``value`` may also be lists of numbers or of such arrays, nested, equally long."""
+    if foreign := _foreign([value], set()):
+        raise ValueError(f"{file}: {name} must be an array of numbers or lists of them, got {_kind(*foreign)}")
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"{file}: {name} must be lists of equally many numbers ({error})") from None
+    return array_of(array, file, name)
 
 
-class _Array:
-    """An array under construction: numpy makes it empty, then fills it from (version, shape, dtype, is_fortran, data)."""
-
-    __slots__ = ("state",)
-
-    def __setstate__(self, state):
-        self.state = state
-
-
-def _reconstruct(kind, shape, code):
-    if kind is not _NDARRAY:
-        raise _Refused("it holds an array of an unusual class")
-    return _Array()
+def _foreign(parts, seen):
+    """The first of ``parts``, and of the lists among them, that is no number, in a tuple of its own; empty where all are."""
+    for part in parts:
+        if type(part) in (list, tuple):
+            if id(part) not in seen:
+                seen.add(id(part))
+                if found := _foreign(part, seen):
+                    return found
+        elif type(part) not in _NUMBERS and not (isinstance(part, (np.ndarray, np.generic)) and part.dtype.kind in "biuf"):
+            return (part,)
+    return ()
 
 
-def _frombuffer(buffer, dtype, shape, order, axes=None):
-    array = _numbers(bytes(buffer), dtype, shape, "F" if order == "F" else "C")
-    return array if axes is None else array.transpose(tuple(axes))
-
-
-def _scalar(dtype, data):
-    return _numbers(data, dtype, (), "C")[()]
-
-
-def _encode(text, encoding):
-    """Bytes as protocol 2 and older spell them."""
-    if not (isinstance(text, str) and encoding in ("latin1", "latin-1")):
-        raise _Refused("it re-encodes text in an unusual way")
-    return text.encode("latin1")
-
-
-def _no_bytes(*arguments):
-    if arguments:
-        raise _Refused("it builds bytes in an unusual way")
-    return b""
-
-
-def _not_called(*arguments):
-    raise _Refused("it builds an array in an unusual way")
-
-
-_NDARRAY = _Function(_not_called)
-_ALLOWED = {
-    ("numpy", "ndarray"): _NDARRAY,
-    ("numpy", "dtype"): _Function(_Dtype),
-    ("_codecs", "encode"): _Function(_encode),
-    ("builtins", "bytes"): _Function(_no_bytes),
-    ("__builtin__", "bytes"): _Function(_no_bytes),
-}
-for _module in _MODULES:
-    _ALLOWED[f"{_module}.multiarray", "_reconstruct"] = _Function(_reconstruct)
-    _ALLOWED[f"{_module}.multiarray", "scalar"] = _Function(_scalar)
-    _ALLOWED[f"{_module}.numeric", "_frombuffer"] = _Function(_frombuffer)
-
-
-def _check_shape(shape, count):
-    if not (isinstance(shape, tuple) and all(type(n) is int and n >= 0 for n in shape) and math.prod(shape) == count):
-        raise ValueError(f"{count} values do not fill an array of shape {shape}")
-
-
-def _numbers(data, dtype, shape, order):
-    dtype = dtype.value
-    if dtype.itemsize == 0 and shape == () and data == b"":  # the empty string
-        return np.zeros((), dtype)
-    if dtype.hasobject or not isinstance(data, bytes) or dtype.itemsize == 0 or len(data) % dtype.itemsize:
-        raise ValueError(f"the data of an array of type {dtype} is damaged")
-    _check_shape(shape, len(data) // dtype.itemsize)
-    return np.frombuffer(bytearray(data), dtype).reshape(shape, order=order)
-
-
-def _finish(array, done):
-    _, shape, dtype, fortran, data = array.state
-    if not dtype.value.hasobject:
-        return _numbers(data, dtype, shape, "F" if fortran else "C")
-    if not isinstance(data, list):
-        raise ValueError("the data of an array of objects is damaged")
-    _check_shape(shape, len(data))
-    flat = np.empty(len(data), object)
-    for i, item in enumerate(data):
-        flat[i] = _resolve(item, done)
-    return flat.reshape(shape, order="F" if fortran else "C")
-
-
-def _resolve(item, done):
-    """``item`` with its arrays finished. Every type is checked; what is shared stays shared; a cycle is refused."""
-    if type(item) in _PLAIN or isinstance(item, (np.ndarray, np.generic)):
-        return item
-    if id(item) in done:
-        if done[id(item)] is done:
-            raise _Refused("it contains itself")
-        return done[id(item)]
-    done[id(item)] = done  # the mark of being under way
-    if type(item) is _Array:
-        result = _finish(item, done)
-    elif type(item) is dict:
-        result = {_resolve(k, done): _resolve(v, done) for k, v in item.items()}
-    elif type(item) in (list, tuple):
-        result = type(item)([_resolve(i, done) for i in item])
-    elif type(item) is _Dtype:
-        result = item.value
-    else:
-        raise _Refused(f"it holds a {type(item).__name__}")
-    done[id(item)] = result
-    return result
+def _kind(value):
+    return f"one of type {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"

@@ -123,7 +123,7 @@ DAMAGE = {
     "malicious": (lambda f: f.write_bytes(b"cposix\nsystem\n(S'true'\ntR."), "refused.*posix.system"),
     "two axes": (lambda f: f.write_bytes(pickle.dumps([([0.0] * 340,) * 2])), r"must hold 3 lists.*\(1, 2, 340\)"),
     "ragged": (lambda f: f.write_bytes(pickle.dumps([([0.0] * 340, [0.0] * 340, [0.0] * 323)])), "equally many numbers"),
-    "text": (lambda f: f.write_bytes(pickle.dumps([(["1"] * 340,) * 3])), "must hold 3 lists"),
+    "text": (lambda f: f.write_bytes(pickle.dumps([(["1"] * 340,) * 3])), "must be an array of numbers or lists of them, got a str"),
     "empty": (lambda f: f.write_bytes(pickle.dumps([([], [], [])])), "must hold 3 lists"),
     "other cable": (lambda f: write(f, hanging(1, 12, (4, 2), (8, 2))), "whole frames of 17 markers in 20 frames, got 320 values"),
     "frame lost": (lambda f: write(f, hanging(1, *BDLO3, frames=19)), "whole frames of 17 markers in 20 frames, got 323 values"),

@@ -274,6 +274,16 @@ def test_missing_images_are_named_when_asked_for(tmp_path):
     (folder / "color" / "0" / "0.png").write_bytes(b"\x89PNG cut")
     with pytest.raises(ValueError, match=r"color/0/0.png: not a complete image"):
         read.color(0, 0)
+    header = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + (8192).to_bytes(4, "big") + (8193).to_bytes(4, "big") + bytes(60)
+    (folder / "color" / "0" / "0.png").write_bytes(header)
+    with pytest.raises(ValueError, match=r"color/0/0.png: an image may have up to 67108864 pixels, got 8192 x 8193"):
+        read.color(0, 0)
+    (folder / "depth" / "0").mkdir(parents=True)
+    for shape in ("(100000, 100000)", f"({10**400}, 2)", "-" * 9000 + "1", "(" * 5000, "(True, 2)"):  # not one allocates or is a bare error
+        header = f"{{'descr': '<u2', 'fortran_order': False, 'shape': {shape}}}\n".encode()
+        (folder / "depth" / "0" / "0.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(8))
+        with pytest.raises(ValueError, match=r"depth/0/0.npy: no depth image"):
+            read.depth(0, 0)
     (folder / "mask" / "mask_info_0.json").write_text(json.dumps({"0": "twine", "1": "box"}))
     with pytest.raises(ValueError, match=r"mask_info_0.json: exactly one label must be the object"):
         read.mask(0, 0)
@@ -418,7 +428,7 @@ BAD = {
         r"final_data.pkl: object_points must have shape \(frames, points, 3\), got \(4, 12\)",
     ),
     "NaN points": (lambda f: _edit(f, object_points=nan_row), r"case: points must be finite"),
-    "text points": (lambda f: _edit(f, object_points="x"), "final_data.pkl: object_points must be an array, got a str"),
+    "text points": (lambda f: _edit(f, object_points="x"), "final_data.pkl: object_points must be an array of numbers, got a str"),
     "NaN controllers": (lambda f: _edit(f, controller_points=np.full((4, 2, 3), np.nan)), "controllers must be finite"),
     "short controllers": (lambda f: _edit(f, controller_points=np.zeros((3, 2, 3))), "controllers must cover every frame"),
     "wrong flags": (lambda f: _edit(f, object_visibilities=np.ones((4, 11), bool)), r"visible must have shape \(4, 12\)"),

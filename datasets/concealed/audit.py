@@ -37,7 +37,7 @@ def outside_of(case: str | Path) -> dict[str, float]:
         if file.suffix == ".pkl":
             held = safe_pickle.load(file)
             for key, value in (held if isinstance(held, dict) else {"array": held}).items():
-                array = np.asarray(value)
+                array = safe_pickle.numbers_of(value, file, str(key))
                 found |= {f"{name} {key} {axis}": float(n) for axis, n in enumerate(array.shape)}
                 found[f"{name} {key} is {array.dtype} {type(value).__name__}"] = 1.0
     return found
