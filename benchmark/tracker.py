@@ -45,6 +45,7 @@ class Tracker(Method):
     """
 
     name = "tracker"
+    twin_class = Tracked
     whole = True
     skip_transfer = OWN_RECORDING
 
