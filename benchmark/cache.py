@@ -85,7 +85,7 @@ class Cache:
         try:
             if found and found["value"]["files"] == _hash_files(folder / "content"):
                 return folder / "content", found["value"]["about"]
-        except (OSError, ValueError):
+        except (OSError, ValueError, KeyError):
             pass
         return None
 

@@ -18,7 +18,8 @@ _FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 class Import:
     """``from ..a.b import names`` has ``level`` 2 and the ``parts`` a, b; ``import a.b`` has no level and no names.
 
-    ``at_once`` says whether it is run as soon as the file is imported, not first when a function in it is called.
+    ``at_once`` says whether it is run as soon as the file is imported, not first when a function in it is called; ``alias`` is what follows
+    ``as`` in ``import a.b as c``.
     """
 
     level: int

@@ -145,7 +145,10 @@ class Sources:
     def _reached(self, by: Reached, imported: Import) -> Iterator[Reached]:
         """What an import reaches, where it is one that is followed."""
         if imported.level:
-            home, place = by.home, by.file.parents[imported.level - 1].joinpath(*imported.parts)
+            home, folder = by.home, Path(*by.file.parts[: -imported.level])
+            if not folder.is_relative_to(home.folder):
+                return
+            place = folder.joinpath(*imported.parts)
         else:
             home = self._followed(by.home, imported.parts[0])
             if home is None:

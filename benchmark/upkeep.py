@@ -28,7 +28,7 @@ class Upkeep:
 
     def __init__(self, cache: Cache, *, older_than: float | None = None):
         self._cache, self._older_than = cache, older_than
-        self._keys = once(_keys)
+        self._keys, self._known = once(_keys), once(self._checksums)
 
     def unused(self, entry: Entry) -> str:
         """The reason, or ""."""
@@ -54,12 +54,16 @@ class Upkeep:
             return ""
         if not Path(folder).exists():
             return "its recordings are gone"
-        keys = self._keys(folder)
         if entry.kind == "collections":
-            return "" if entry.key in keys else "its recordings changed"
-        known = {name: value for key in keys for name, value in (self._cache.read("checksums", key) or {}).items()}
+            return "" if entry.key in self._keys(folder) else "its recordings changed"
+        known = self._known(folder)
         changed = (known.get(name, value) != value for name, value in zip(names, entry.made["inputs"]["data"], strict=False))
         return "its recordings changed" if any(changed) else ""
+
+    def _checksums(self, folder: str) -> dict[str, str]:
+        """What is known of the recordings in a folder as it is now."""
+        known = [self._cache.read("checksums", key) or {} for key in self._keys(folder)]
+        return {name: value for found in known for name, value in found.items()}
 
     @cached_property
     def _listings(self) -> set[str]:

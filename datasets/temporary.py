@@ -95,6 +95,9 @@ def remove(path: Path) -> None:
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Nobody else is in such a block for ``folder`` at the same time, where the disk has locks."""
+    if fcntl is None:
+        yield
+        return
     found = os.open(folder, os.O_RDONLY)
     try:
         _lock(found)
@@ -104,9 +107,8 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _lock(found: int) -> None:
-    if fcntl is not None:
-        with suppress(OSError):  # a disk without locks
-            fcntl.flock(found, fcntl.LOCK_EX)
+    with suppress(OSError):  # a disk without locks
+        fcntl.flock(found, fcntl.LOCK_EX)
 
 
 @contextmanager
@@ -138,8 +140,12 @@ def _create(temporary: Path) -> int | None:
 
 
 def _create_folder(temporary: Path) -> int | None:
-    temporary.mkdir()
-    return None if fcntl is None else os.open(temporary, os.O_RDONLY)
+    while True:
+        temporary.mkdir()
+        if fcntl is None:
+            return None
+        with suppress(FileNotFoundError):  # swept before it was opened
+            return os.open(temporary, os.O_RDONLY)
 
 
 @contextmanager

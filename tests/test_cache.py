@@ -367,7 +367,11 @@ def test_list_explain_and_prune(folder, cache, capsys, monkeypatch):
     assert command("cache", "prune") == 0 and capsys.readouterr().out.startswith("Freed 0.0 kB")
 
     files = SOURCES.files
-    monkeypatch.setattr(SOURCES, "files", lambda *modules: {**files(*modules), **({"methods/rigid.py": "edited"} if any("rigid" in m for m in modules) else {})})  # noqa: E501  # fmt: skip
+
+    def edited(*modules):
+        return files(*modules) | ({"methods/rigid.py": "edited"} if "twinbench.methods.rigid" in modules else {})
+
+    monkeypatch.setattr(SOURCES, "files", edited)
     assert command("cache", "explain", "rigid", "--data", folder, "--metrics", "track_error") == 0
     assert capsys.readouterr().out.count("will be refitted because methods/rigid.py changed") == 2
     assert command("cache", "explain", key) == 0 and "Nothing would use it: its code changed" in capsys.readouterr().out

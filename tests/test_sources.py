@@ -215,6 +215,15 @@ def test_a_file_of_ones_own_is_followed_into_its_neighbours_and_into_twinbench(i
     assert not any(file.startswith(("physics", "diagnosis", "numpy")) for file in found)
 
 
+def test_an_import_from_outside_of_its_folder_is_not_followed(importable):
+    (importable / "outside.py").write_text("")
+    (importable / "in").mkdir()
+    (importable / "in" / "lonely.py").write_text(f"def f():\n    from .. import outside\n    from {'.' * 99} import x\n")
+    code = f"import sys; sys.path.insert(0, {str(importable / 'in')!r})\nfrom twinbench.benchmark.sources import SOURCES\n"
+    said = subprocess.run([sys.executable, "-c", code + "print(*SOURCES.files('lonely'))"], capture_output=True, text=True)
+    assert said.stdout.split() == ["lonely.py"], said.stderr
+
+
 def installed(folder, name, version, *tops):
     about = folder / f"{name.replace('-', '_')}-{version}.dist-info"
     about.mkdir()
