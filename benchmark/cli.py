@@ -17,10 +17,10 @@ __all__ = ["main"]
 
 @dataclass(frozen=True)
 class Challenge:
-    """Make, answer, open and score a sealed challenge: twinbench challenge make | answer | open | score."""
+    """Make, answer, open and score a sealed challenge: twinbench challenge make | answer | open | score | pack | unpack."""
 
     def __call__(self) -> int:
-        raise ValueError("twinbench challenge needs one of make, answer, open, score")
+        raise ValueError("twinbench challenge needs one of make, answer, open, score, pack, unpack")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datasets.concealed.make import Folder
+from ..datasets.concealed.folder import Folder
 from ..datasets.concealed.seal import read_json, write_json
 from ..diagnosis.balance import TURNS
 from ..diagnosis.verdict import (

@@ -5,7 +5,8 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+
+from ..datasets.pool import Pool
 
 __all__ = ["cards", "workers"]
 
@@ -23,15 +24,14 @@ def cards(device: str = "cuda") -> tuple[str, ...]:
     return tuple(named[:count] if named else map(str, range(count)))
 
 
-def workers(count: int, devices: Sequence[str] = ()) -> ProcessPoolExecutor:
+def workers(count: int, devices: Sequence[str] = ()) -> Pool:
     """A pool of ``count`` fresh processes; each takes the next of ``devices``, and the first again after the last, for its only card."""
-    context = multiprocessing.get_context("spawn")
     if not devices:
-        return ProcessPoolExecutor(count, mp_context=context)
-    turns = context.Queue()
+        return Pool(count)
+    turns = multiprocessing.get_context("spawn").Queue()
     for k in range(count):
         turns.put(devices[k % len(devices)])
-    return ProcessPoolExecutor(count, mp_context=context, initializer=_take, initargs=(turns,))
+    return Pool(count, _take, turns)
 
 
 def _take(turns):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, as_completed
 from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
 
+from ..pool import Pool
 from .case import CLEAR, CONTROLS, build
 from .effects import EFFECTS, OUTSIDE
-from .engines import ENGINES
+from .engines import ENGINES, require
 from .make import write_pair
 
 LABELS = "labels.json"
@@ -45,7 +47,22 @@ def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, clea
     return case.label | {"seconds": round(time.time() - begun, 1)}
 
 
-def main(arguments=None) -> None:
+def main(arguments=None) -> int:
+    """Returns the exit code: 2 after one line on standard error where something is wrong, 130 where it was stopped."""
+    options = _options(arguments)
+    try:
+        require([options.engine])
+        _write(options)
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from here", file=sys.stderr)
+        return 130
+    except (ImportError, ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _options(arguments):
     parser = argparse.ArgumentParser(prog="python -m twinbench.datasets.concealed", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for the cases and labels.json; cases that are there are kept")
     parser.add_argument("--seed", type=int, default=1)
@@ -57,14 +74,18 @@ def main(arguments=None) -> None:
     parser.add_argument("--only", nargs="+", choices=tuple(EFFECTS), help="effects to choose from")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
     parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")
-    options = parser.parse_args(arguments)
+    return parser.parse_args(arguments)
+
+
+def _write(options):
+    """Make the cases that are not there, and print a line for each."""
     options.out.mkdir(parents=True, exist_ok=True)
     cases = plan(options.seed, options.effects, options.controls, options.outside, bodies=options.bodies, only=options.only)
     file = options.out / LABELS
     labels = json.loads(file.read_text()) if file.exists() else {}
     wanted = {f"case_{i:03d}": (i, *case) for i, case in enumerate(cases)}
     todo = {name: case for name, case in wanted.items() if name not in labels or not (options.out / name / "transfer").is_dir()}
-    with ProcessPoolExecutor(options.jobs) as pool:
+    with Pool(options.jobs) as pool:
         running = {
             pool.submit(make, options.out, *case, options.seed, tuple(options.clear), options.engine): name for name, case in todo.items()
         }
@@ -72,6 +93,8 @@ def main(arguments=None) -> None:
             name = running[future]
             try:
                 labels[name] = future.result()
+            except BrokenExecutor:
+                raise
             except RuntimeError as reason:
                 print(f"{name}: {reason}", flush=True)
                 continue
@@ -91,4 +114,4 @@ def row(name: str, label: dict) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

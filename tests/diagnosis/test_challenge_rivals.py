@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from twinbench.benchmark.challenge.answering import answer_case
 from twinbench.benchmark.challenge.rivals import rivals
-from twinbench.benchmark.challenge.rivals.base import Given, answer, one_hot
+from twinbench.benchmark.challenge.rivals.base import Given, answer
 from twinbench.benchmark.challenge.rivals.sindy import derivatives
 from twinbench.benchmark.challenge.rivals.virtual_force import group_lasso
+from twinbench.benchmark.challenge.schema import one_hot
 from twinbench.datasets.phystwin import write_case
 from twinbench.diagnosis.diagnose import NAMES
 from twinbench.diagnosis.verdict import NONE, OTHER
