@@ -5,8 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections.abc import Sequence
-
-from ..datasets.pool import Pool
+from concurrent.futures import ProcessPoolExecutor
 
 __all__ = ["cards", "workers"]
 
@@ -24,14 +23,15 @@ def cards(device: str = "cuda") -> tuple[str, ...]:
     return tuple(named[:count] if named else map(str, range(count)))
 
 
-def workers(count: int, devices: Sequence[str] = ()) -> Pool:
+def workers(count: int, devices: Sequence[str] = ()) -> ProcessPoolExecutor:
     """A pool of ``count`` fresh processes; each takes the next of ``devices``, and the first again after the last, for its only card."""
+    context = multiprocessing.get_context("spawn")
     if not devices:
-        return Pool(count)
-    turns = multiprocessing.get_context("spawn").Queue()
+        return ProcessPoolExecutor(count, mp_context=context)
+    turns = context.Queue()
     for k in range(count):
         turns.put(devices[k % len(devices)])
-    return Pool(count, _take, turns)
+    return ProcessPoolExecutor(count, mp_context=context, initializer=_take, initargs=(turns,))
 
 
 def _take(turns):

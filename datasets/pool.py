@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -16,15 +16,15 @@ __all__ = ["Pool"]
 
 
 class Pool(ProcessPoolExecutor):
-    """``count`` fresh processes, each of which first calls ``prepare(*given)``.
+    """``count`` fresh processes.
 
     Whatever ends the ``with`` block but its own end (Ctrl-C, an error) kills them: what they were at is not waited for. Ctrl-C is for this
     process alone. Where this process is killed, they end by themselves.
     Raises OSError where one of them was ended from outside, as systems do that run out of memory.
     """
 
-    def __init__(self, count: int, prepare: Callable | None = None, *given):
-        super().__init__(count, mp_context=multiprocessing.get_context("spawn"), initializer=_begin, initargs=(prepare, given))
+    def __init__(self, count: int):
+        super().__init__(count, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
 
     def submit(self, *given, **named):
         with _deaf():
@@ -42,21 +42,19 @@ class Pool(ProcessPoolExecutor):
 
 @contextmanager
 def _deaf() -> Iterator[None]:
-    """What is started in here never hears of Ctrl-C, not even while it imports; what comes meanwhile is heard afterwards."""
+    """What is started in here never hears of Ctrl-C or SIGTERM, not even while it imports; what comes meanwhile is heard afterwards."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin(prepare, given):
+def _begin():
     Thread(target=_follow, daemon=True).start()
-    if prepare is not None:
-        prepare(*given)
 
 
 def _follow():

@@ -167,7 +167,7 @@ class Pack:
 
     folder: Set
     """Folder of the set."""
-    part: Annotated[str, arg(name="for", metavar="WHOM")]
+    to: Annotated[str, arg(metavar="WHOM")]
     """entrant or keeper."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
     """The archive (zip). Default: SET-WHOM.zip beside the folder of the set. The same set gives the same bytes."""
@@ -176,10 +176,10 @@ class Pack:
         from ..options import known
         from .packing import PARTS, pack
 
-        known("part", [self.part], PARTS)
-        file, digest = pack(self.folder, self.part, self.out)
-        print(f"{file}: {', '.join(PARTS[self.part])} for the {self.part}; SHA-256 {digest}")
-        if self.part == "keeper":
+        known("part", [self.to], PARTS)
+        file, digest = pack(self.folder, self.to, self.out)
+        print(f"{file}: {', '.join(PARTS[self.to])} for the {self.to}; SHA-256 {digest}")
+        if self.to == "keeper":
             print(f"Once the keeper has it, delete {file} and {self.folder / 'sealed'} here; twinbench challenge unpack brings it back")
         return 0
 
