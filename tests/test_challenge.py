@@ -11,28 +11,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twinbench.benchmark.challenge import answering, book, opening, scoring
+from challenges import MANY, TINY, drawn, republish, spoil, with_fakes, without_simulators
+from twinbench.benchmark.challenge import answering
 from twinbench.benchmark.challenge.answering import answer_set, take_answers
 from twinbench.benchmark.challenge.opening import open_set, opened_labels
-from twinbench.benchmark.challenge.rivals.base import Rival, answer
 from twinbench.benchmark.challenge.scoring import score_set
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.concealed import study
 from twinbench.datasets import safe_pickle
 from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
-from twinbench.datasets.concealed.case import CLEAR, CONTROLS, Case, build
+from twinbench.datasets.concealed.case import CLEAR, CONTROLS, build
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
-from twinbench.datasets.concealed.engines import ENGINES, able, engine
+from twinbench.datasets.concealed.engines import ENGINES, able
 from twinbench.datasets.concealed.folder import Folder
 from twinbench.datasets.concealed.ledger import Ledger
 from twinbench.datasets.concealed.make import make
 from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, plan
 from twinbench.datasets.concealed.seal import canonical, digest, folder_digest, read_json, salt_of, sealed, seed_of, write_json
-from twinbench.datasets.scenario import Scenario, Split
 
 ROOT = Path(__file__).resolve().parents[1]
-TINY = Preset(controls=3, levels=(1.0, 2.0), outside=1, pairs=1, effects=2)
 
 
 # --- the plan -------------------------------------------------------------------------------------------------------------------------
@@ -144,51 +142,9 @@ def test_a_ledger_is_only_added_to(tmp_path):
 # --- making ---------------------------------------------------------------------------------------------------------------------------
 
 
-def filmed(name, rng, *, frames=12, moved=0.0):
-    """A recording of a few points; ``moved`` is what is concealed in it."""
-    points = rng.normal(0, 0.1, (1, 15, 3)) + np.linspace(0, 0.1 + moved, frames)[:, None, None]
-    there = np.ones(points.shape[:2], bool)
-    about = {"fps": 30.0, "split": Split(8, frames), "gravity": [0, 0, 9.81]}
-    return Scenario(name=name, points=points, visible=there, motion_valid=there, controllers=points[:, :3] + 0.01, **about)
-
-
-def drawn(kind, name, body, *, seed, clear, like, engine):
-    """What ``build`` does, at no cost; a torn body cannot be drawn as a cloth."""
-    if name == "tearing" and body == "cloth":
-        raise RuntimeError("no tearing of a cloth")
-    rng = np.random.default_rng(seed)
-    frames = int(rng.integers(10, 15))
-    size = 0.0 if kind == "control" else 0.05
-    label = {"kind": kind, "effect": None if kind == "control" else name, "control": name if kind == "control" else None, "object": body}
-    label |= {"displacement": size, "place": [None, None], "onset": [0, 0], "parameters": {"seed": seed}}
-    return Case(filmed("fit", rng, frames=frames, moved=size), filmed("transfer", rng, frames=frames, moved=size), label)
-
-
 @pytest.fixture(autouse=True)
 def cheap(monkeypatch):
-    monkeypatch.setattr(making, "build", drawn)
-    monkeypatch.setattr(making, "Pool", InThisProcess)
-    monkeypatch.setattr(making, "require", lambda names: [engine(name) for name in names])
-
-
-class InThisProcess:
-    """An executor that runs at once, so that what is patched is seen."""
-
-    def __init__(self, jobs):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        return False
-
-    def submit(self, function, *given):
-        from concurrent.futures import Future
-
-        future = Future()
-        future.set_result(function(*given))
-        return future
+    without_simulators(monkeypatch)
 
 
 def test_the_same_seed_is_the_same_set_to_the_last_byte(tmp_path):
@@ -287,9 +243,6 @@ def told(folder):
     }
 
 
-MANY = Preset(controls=12, levels=(1.0,), outside=4, pairs=0, effects=8)
-
-
 def test_names_sizes_types_and_times_do_not_tell_controls(tmp_path):
     make(tmp_path, preset=MANY, seed="z", engines=("mujoco",))
     folder = Folder(tmp_path)
@@ -331,46 +284,9 @@ def test_an_audit_of_one_kind_is_refused(tmp_path):
 # --- answering, opening, scoring --------------------------------------------------------------------------------------------------------
 
 
-class Guess(Rival):
-    """Says by how far the points go whether something is there: it moves 5 cm farther where there is."""
-
-    name = "guess"
-
-    def answer(self, given):
-        far = np.ptp(given.fit.points[..., 0].mean(axis=1))
-        said = answer("named", "wind", where={"points": [0], "centroid": [0.0, 0.0, 0.0], "radius": 0.01}, when={"frames": [0, 10]})
-        errors = {part: {"baseline": 0.01, "extended": None, "noise_floor": 0.001} for part in ("train", "heldout", "transfer")}
-        return (said if far > 0.125 else answer("adequate")) | {"fit": errors}
-
-
-class Told(Guess):
-    """Knows."""
-
-    name, told = "told", True
-
-    def answer(self, given):
-        assert given.label is not None
-        return answer("adequate") if given.label["kind"] == "control" else answer("unknown")
-
-
-class Broken(Guess):
-    """Fails."""
-
-    name = "broken"
-
-    def answer(self, given):
-        raise RuntimeError("out of ideas")
-
-
-FAKES = {rival.name: rival for rival in (Guess(), Told(), Broken())}
-
-
 @pytest.fixture
 def rivals(monkeypatch):
-    for module in (answering, book, opening):
-        monkeypatch.setattr(module, "rivals", lambda: FAKES)
-    monkeypatch.setattr(answering, "commit", lambda: "c" * 40)
-    monkeypatch.setattr(scoring, "JUDGE", "guess")
+    with_fakes(monkeypatch)
 
 
 @pytest.fixture
@@ -519,12 +435,6 @@ def test_only_the_frozen_tool_is_tested(tmp_path, rivals, late, monkeypatch):
     assert not late or "not by the frozen cccccccccccc" in status["why"]
 
 
-def spoil(file, change):
-    value = json.loads(file.read_text())
-    change(value)
-    file.write_text(json.dumps(value))
-
-
 SPOILT = {
     "a recording": (lambda f: (f.cases / "case_003" / "transfer" / "split.json").write_text("{}"), "case_003: is not what was published"),
     "a further file": (lambda f: (f.cases / "case_003" / "notes.txt").write_text("wind"), "case_003: is not what was published"),
@@ -537,12 +447,6 @@ SPOILT = {
         "the chain of hashes is broken",
     ),
 }
-
-
-def republish(folder):
-    manifest = json.loads(folder.manifest.read_text())
-    manifest["cases"].pop("case_004")
-    folder.manifest.write_text(json.dumps(manifest | {"root": digest({k: v for k, v in manifest.items() if k != "root"})}))
 
 
 @pytest.mark.parametrize("what", SPOILT)

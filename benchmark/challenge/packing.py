@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from ...datasets.concealed.folder import Folder
 from ...datasets.concealed.seal import file_digest
@@ -47,17 +47,26 @@ def unpack(archive: str | Path, root: str | Path) -> list[str]:
     """Put what ``pack`` wrote into the folder of a set; returns what came. All or nothing.
 
     Raises ValueError for an archive that is damaged, holds links or paths that lead elsewhere, or is none of a set; and where something
-    is there already: an older ledger must not take the place of a newer one.
+    else is there already: an older ledger must not take the place of a newer one.
     """
     archive, root = Path(archive), Path(root)
     try:
         with zipfile.ZipFile(archive) as members:
             tops = {name.split("/")[0] for name in members.namelist()}
+            if not any(tops == set(parts) for parts in PARTS.values()):
+                raise ValueError(f"{archive}: is no part of a sealed set, it holds {', '.join(map(repr, sorted(tops)[:5])) or 'nothing'}")
+            _check_free(members, root)
     except (OSError, zipfile.BadZipFile) as error:
         raise ValueError(f"{archive}: {getattr(error, 'strerror', None) or error}") from None
-    if not any(tops == set(parts) for parts in PARTS.values()):
-        raise ValueError(f"{archive}: is no part of a sealed set, it holds {', '.join(sorted(tops)[:5]) or 'nothing'}")
-    there = [name for name in sorted(tops) if (root / name).exists() or (root / name).is_symlink()]
-    if there:
-        raise ValueError(f"{root / there[0]}: is there already; nothing was unpacked")
     return unzip(archive, root)
+
+
+def _check_free(members, root):
+    """Raises ValueError where a member would take the place of something else, or go through a link."""
+    for member in members.infolist():
+        target = root.joinpath(*(part for part in PurePosixPath(member.filename).parts if part not in ("..", "/")))
+        for path in (target, *target.parents[: len(target.parts) - len(root.parts) - 1]):
+            if path.is_symlink():
+                raise ValueError(f"{path}: is a link; nothing was unpacked")
+        if target.is_file() and (target.stat().st_size != member.file_size or target.read_bytes() != members.read(member)):
+            raise ValueError(f"{target}: is there already, with something else in it; nothing was unpacked")
