@@ -23,8 +23,9 @@ from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
 from twinbench.datasets.concealed.case import CLEAR, CONTROLS, build
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
-from twinbench.datasets.concealed.engines import ENGINES, able
+from twinbench.datasets.concealed.engines import ENGINES, able, require
 from twinbench.datasets.concealed.folder import Folder
+from twinbench.datasets.concealed.labelled import main as write_labelled
 from twinbench.datasets.concealed.ledger import Ledger
 from twinbench.datasets.concealed.make import make
 from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, plan
@@ -515,3 +516,35 @@ def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):
     ):
         assert main(["challenge", *wrong]) == 2
         assert says in capsys.readouterr().err
+
+
+# --- what must be installed -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lacking", "engines", "says"),
+    [
+        ("newton", (), "not installed: newton (engine newton); pip install"),
+        ("mujoco", ("mujoco",), "mujoco-core (engine mujoco)"),
+        ("elastica", ("finite", "cosserat"), "pyelastica (engine cosserat)"),
+        ("threadpoolctl", ("finite",), "threadpoolctl (engine finite)"),
+    ],
+)
+def test_a_simulator_that_is_missing_is_said_at_once(tmp_path, monkeypatch, capsys, lacking, engines, says):
+    monkeypatch.setattr(making, "require", require)
+    monkeypatch.setattr("twinbench.datasets.concealed.engines.find_spec", lambda name: None if name == lacking else True)
+    named = ["--engines", *engines] if engines else []
+    assert main(["challenge", "make", "--out", str(tmp_path / "set"), "--seed", "x", *named]) == 2
+    said = capsys.readouterr().err
+    assert says in said and 'pip install "twinbench[synthetic]"' in said and said.count("\n") == 1
+    assert not (tmp_path / "set" / "sealed").exists()
+    if engines:
+        assert write_labelled(["--out", str(tmp_path / "cases"), "--engine", engines[-1]]) == 2
+        assert says in capsys.readouterr().err and not (tmp_path / "cases").exists()
+
+
+def test_a_simulator_that_is_not_asked_for_need_not_be_there(monkeypatch):
+    monkeypatch.setattr("twinbench.datasets.concealed.engines.find_spec", lambda name: None if name == "newton" else True)
+    require(("mujoco", "finite", "cosserat"))
+    with pytest.raises(ValueError, match="unknown engine 'bullet'"):
+        require(("bullet",))
