@@ -179,7 +179,7 @@ def test_two_at_a_time_leave_one_chain(stages, tmp_path):
         if child == 0:
             try:
                 for _ in range(5):
-                    ledger.append("answered", rival=f"writer{k}", root="0" * 64)
+                    ledger.append("answered", rival=f"writer{k}", root="0" * 64, answers=0)
             finally:
                 os._exit(0)
         children.append(child)

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ...datasets.concealed.folder import Folder
-from ...datasets.concealed.seal import digest, named, read_json, write_json
+from ...datasets.concealed.seal import NAME, digest, named, read_json, write_json
 from .rivals import rivals
 from .schema import LARGEST, Answer
 
@@ -131,11 +131,4 @@ def entrants_of(folder: Folder) -> list[str]:
     """Whose answers are here, or were: the ledger remembers. The diagnosis first."""
     here = {file.parent.name for file in (folder.root / "answers").glob("*/sealed.json")}
     told = {e["rival"] for e in folder.history() if e["event"] == "answered"}
-    return sorted({name for name in here | told if _can_be(name)}, key=lambda name: (name != "diagnosis", name))
-
-
-def _can_be(name):
-    try:
-        return bool(named("an entrant", name))
-    except ValueError:  # no answer was ever sealed under such a name
-        return False
+    return sorted(filter(NAME.fullmatch, here | told), key=lambda name: (name != "diagnosis", name))  # under others nothing was ever sealed

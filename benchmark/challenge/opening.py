@@ -41,7 +41,7 @@ def judged(folder: Folder, entrant: str) -> tuple[dict, dict[str, Answer] | None
     book = Answers(folder, entrant)
     entries = folder.history()
     sealed = [e for e in entries if e["event"] == "answered" and e["rival"] == entrant]
-    last = {"root": sealed[-1]["root"], "answers": sealed[-1].get("answers", 0)} if sealed else {"root": "", "answers": 0}
+    last = {"root": sealed[-1]["root"], "answers": sealed[-1]["answers"]} if sealed else {"root": "", "answers": 0}
     if sealed and not book.seal.exists():
         return {"status": "withdrawn", **last, "why": f"sealed on {sealed[-1]['time'][:10]}, and gone"}, None
     try:

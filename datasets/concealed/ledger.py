@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ __all__ = ["GENESIS", "Ledger"]
 
 GENESIS = "0" * 64
 # what an entry of each event says, beside its time and its place in the chain; "rival" is the name of an entrant
-EVENTS = {"made": {"root": HASH}, "answered": {"rival": NAME, "root": HASH}, "opened": {"set": HASH}}
+COUNT = re.compile("[0-9]{1,9}")
+EVENTS = {"made": {"root": HASH}, "answered": {"rival": NAME, "root": HASH, "answers": COUNT}, "opened": {"set": HASH}}
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,8 @@ def _check(entry, line):
     except (TypeError, ValueError):
         raise ValueError(f"{line}: time must be a date and time (ISO 8601), got {entry.get('time')!r}") from None
     for key, pattern in known.items():
-        if not isinstance(entry.get(key), str) or not pattern.fullmatch(entry[key]):
+        kind = int if pattern is COUNT else str
+        if type(entry.get(key)) is not kind or not pattern.fullmatch(str(entry[key])):
             raise ValueError(f"{line}: {key} must be {pattern.pattern}, got {entry.get(key)!r}")
 
 
