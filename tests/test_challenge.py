@@ -286,12 +286,12 @@ def test_an_audit_of_one_kind_is_refused(tmp_path):
 
 
 @pytest.fixture
-def rivals(monkeypatch):
+def entrants(monkeypatch):
     with_fakes(monkeypatch)
 
 
 @pytest.fixture
-def challenge(tmp_path, rivals):
+def challenge(tmp_path, entrants):
     make(tmp_path / "set", preset=MANY, seed="z", engines=("mujoco",))
     return Folder(tmp_path / "set")
 
@@ -306,7 +306,7 @@ def test_answers_are_given_without_the_labels(challenge):
     assert {a["verdict"] for a in answers} == {"adequate", "missing"} and all(a["by"]["commit"] == "c" * 40 for a in answers)
 
 
-@pytest.mark.parametrize("room", ["diagnosis", "benchmark/challenge/rivals"])
+@pytest.mark.parametrize("room", ["diagnosis", "benchmark/challenge/entrants"])
 def test_who_answers_imports_nothing_of_those_who_conceal(room):
     """Neither directly nor through anything that it imports, at the top of a file or inside a function."""
     seen, todo = set(), files_of(room)
@@ -343,7 +343,7 @@ def test_answers_are_kept_and_a_failure_is_an_answer(challenge, capsys):
     assert [e["event"] for e in challenge.ledger.read()] == ["made", "answered", "answered"]  # nothing new, nothing entered
     failed = json.loads((challenge.root / "answers" / "broken" / "case_000.json").read_text())
     assert failed["verdict"] == "failed" and failed["error"] == "RuntimeError: out of ideas"
-    with pytest.raises(ValueError, match="unknown rival 'gues'; did you mean 'guess'"):
+    with pytest.raises(ValueError, match="unknown entrant 'gues'; did you mean 'guess'"):
         answer_set(challenge.root, names=("gues",))
     with pytest.raises(ValueError, match="is still sealed"):
         answer_set(challenge.root, names=("told",))
@@ -425,7 +425,7 @@ def test_opening_is_written_down_and_what_comes_later_is_exploratory(challenge):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_only_the_frozen_tool_is_tested(tmp_path, rivals, late, monkeypatch):
+def test_only_the_frozen_tool_is_tested(tmp_path, entrants, late, monkeypatch):
     commit = "c" * 40
     make(tmp_path, preset=TINY, seed=seed_of(commit, "round 7"), engines=("mujoco",), origin={"commit": commit, "beacon": "round 7"})
     if late:
@@ -484,13 +484,13 @@ def test_an_opened_set_is_a_folder_of_cases_and_a_sealed_one_is_not(challenge, t
     assert scored["alarms"] == 0 and scored["controls"] == 12  # the guess never errs on controls
 
 
-def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):
+def test_the_commands_from_end_to_end(tmp_path, entrants, capsys, monkeypatch):
     monkeypatch.setitem(PRESETS, "quick", MANY)
     folder = tmp_path / "set"
     assert main(["challenge", "make", "--out", str(folder), "--seed", "z"]) == 0
-    assert main(["challenge", "answer", str(folder), "--rivals", "guess"]) == 0
+    assert main(["challenge", "answer", str(folder), "--entrants", "guess"]) == 0
     assert main(["challenge", "open", str(folder)]) == 0
-    assert main(["challenge", "answer", str(folder), "--rivals", "told"]) == 0
+    assert main(["challenge", "answer", str(folder), "--entrants", "told"]) == 0
     capsys.readouterr()
     assert main(["challenge", "score", str(folder)]) == 0
     said = capsys.readouterr().out
@@ -498,13 +498,13 @@ def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):
     assert "false alarms, 95 % bound" in said and "guess: confirmatory, 24 answers" in said and "told: exploratory" in said
     assert sorted(p.name for p in (folder / "score").iterdir()) == ["score.csv", "score.json", "score.md"]
     told = json.loads((folder / "score" / "score.json").read_text())
-    figures = {f["name"]: f for f in told["rivals"]["guess"]["figures"]}
+    figures = {f["name"]: f for f in told["entrants"]["guess"]["figures"]}
     # it never errs on controls, and it knows one name only
     assert figures["false alarms"]["value"] == 0 and figures["false alarms"]["cases"] == 12
     assert figures["false alarms, 95 % bound"]["value"] == pytest.approx(1 - 0.05 ** (1 / 12))
     assert figures["effects found"]["value"] == 1 and len(told["cases"]) == 48
     rows = list(csv.DictReader((folder / "score" / "score.csv").open()))
-    assert {r["rival"] for r in rows} == {"guess", "told"} and {r["name"] for r in rows} == set(figures)
+    assert {r["entrant"] for r in rows} == {"guess", "told"} and {r["name"] for r in rows} == set(figures)
     assert root == Folder(folder).published()["root"]
     for wrong, says in (
         (["make", "--out", str(folder)], "--seed or from --beacon"),

@@ -514,7 +514,7 @@ def test_nonsense_is_sealed_opened_and_scored_beside_everybody_else(sealed, prep
         write_json(own / f"{cases[0]}.json", WIND)
         for case, text in zip(cases[1:], some, strict=False):
             (own / f"{case}.json").write_bytes(text)
-        command = ["challenge", "answer", str(sealed.root), "--rivals", f"nonsense{k}", "--answers", str(own)]
+        command = ["challenge", "answer", str(sealed.root), "--entrants", f"nonsense{k}", "--answers", str(own)]
         assert main([*command, "--check"]) == 1 and "Nothing was sealed" in capsys.readouterr().out
         assert main(command) == 0
         said = capsys.readouterr()

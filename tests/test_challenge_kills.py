@@ -139,7 +139,7 @@ def check(folder, undisturbed, step):
     assert opened_labels(folder) == opened_labels(undisturbed)
     status = {name: found[0] for name, found in score_set(folder.root).items()}
     assert {name: s["status"] for name, s in status.items()} == dict.fromkeys(("guess", "mine", "quick"), "confirmatory")
-    assert read_json(folder.root / "score" / "score.json")["rivals"]["guess"]["standing"] == status["guess"]
+    assert read_json(folder.root / "score" / "score.json")["entrants"]["guess"]["standing"] == status["guess"]
     if step != "score":  # tables are written by way of a name of their own
         assert whole(folder.root) == whole(undisturbed.root)
 

@@ -16,9 +16,9 @@ from ...datasets.concealed.seal import parsed, read_json
 from ..processes import cards, workers
 from ..provenance import commit
 from .book import Answers
+from .entrants import entrants
+from .entrants.base import Given
 from .opening import opened_labels
-from .rivals import rivals
-from .rivals.base import Given
 from .schema import LARGEST, Answer
 
 __all__ = ["answer_case", "answer_set", "each", "read_answers", "take_answers"]
@@ -40,7 +40,7 @@ def each(function: Callable, items: Sequence[tuple], *, jobs: int = 1, device: s
 
 
 def answer_case(case: Path, names: Sequence[str], preset: str, device: str, label: dict | None = None) -> dict[str, dict]:
-    """Answers of the rivals ``names`` to ``case``/fit with ``case``/transfer. An error is an answer that says so, and so is nonsense."""
+    """Answers of the entrants ``names`` to ``case``/fit with ``case``/transfer. An error is an answer that says so, and so is nonsense."""
     from ..opening import open_scenario
 
     found, given, shared = {}, None, 0.0
@@ -48,9 +48,9 @@ def answer_case(case: Path, names: Sequence[str], preset: str, device: str, labe
         begun = time.time()
         try:
             given = given or Given(*(open_scenario(str(case / part)) for part in ("fit", "transfer")), preset=preset, device=device)
-            given.label = label if rivals()[name].told else None
+            given.label = label if entrants()[name].told else None
             answered = "diagnosis" in vars(given)
-            said = _understood(rivals()[name].answer(given))
+            said = _understood(entrants()[name].answer(given))
             seconds = time.time() - begun + (shared if answered else 0.0)  # who comes later did not wait for the diagnosis again
             said = replace(said, seconds=round(seconds, 1))
             shared = shared if answered or "diagnosis" not in vars(given) else float(given.diagnosis.result["seconds"])
@@ -78,16 +78,16 @@ def answer_set(
     jobs: int = 1,
     progress: Callable[[str], None] = lambda said: None,
 ) -> dict[str, str]:
-    """Answer the sealed set in ``root``; answers that are there are kept. Returns the root hash of each rival's answers.
+    """Answer the sealed set in ``root``; answers that are there are kept. Returns the root hash of each entrant's answers.
 
-    No label is read, but for rivals that are told, and for them only where the set was opened before. Raises ValueError for an unknown
-    rival, recordings that are not those that were published, or a told rival on a set that is still sealed.
+    No label is read, but for entrants that are told, and for them only where the set was opened before. Raises ValueError for an unknown
+    entrant, recordings that are not those that were published, or a told entrant on a set that is still sealed.
     """
     folder = Folder(Path(root))
-    published, known = folder.published(), rivals()
+    published, known = folder.published(), entrants()
     for name in names:
         if name not in known:
-            raise ValueError(f"unknown rival {name!r}; {nearest(name, known)}")
+            raise ValueError(f"unknown entrant {name!r}; {nearest(name, known)}")
     cases = list(published["cases"])
     for name in cases:
         folder.check_recordings(name, published)
@@ -125,10 +125,10 @@ def _source(folder, derived, cases) -> dict[str, Answer]:
     return source
 
 
-def _derived(rival, source: Mapping[str, dict], seed: str) -> dict[str, Answer]:
+def _derived(entrant, source: Mapping[str, dict], seed: str) -> dict[str, Answer]:
     """The answers that are made of others'; one that fails fails by itself."""
     try:
-        made = rival.derive(source, seed)
+        made = entrant.derive(source, seed)
         return {case: _or_failed(lambda case=case: _understood(made[case])) for case in source}
     except Exception as error:
         traceback.print_exc()
@@ -174,11 +174,11 @@ def take_answers(root: str | Path, *, name: str, source: str | Path, seal: bool 
     """Seal the answers of another program under ``name``, see ``read_answers``; without ``seal`` only look at them.
 
     What an answer leaves out counts as not said, one that says nothing sensible as failed. Returns the answers and their root.
-    Raises ValueError for a name that cannot be one or is a rival's, and as ``read_answers`` does.
+    Raises ValueError for a name that cannot be one or is an entrant's, and as ``read_answers`` does.
     """
     folder, source = Folder(Path(root)), Path(source)
     book = Answers(folder, name)
-    if name in rivals():
+    if name in entrants():
         raise ValueError(f"{name!r} answers by itself; choose another name for the answers in {source}")
     book.check_new()
     taken = read_answers(folder, source)

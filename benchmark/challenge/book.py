@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...datasets.concealed.folder import Folder
 from ...datasets.concealed.seal import NAME, digest, named, read_json, write_json
-from .rivals import rivals
+from .entrants import entrants
 from .schema import LARGEST, Answer
 
 __all__ = ["Answers", "entrants_of"]
@@ -28,7 +28,8 @@ class Answers:
 
     def check_new(self) -> None:
         """Raises ValueError where answers must not be written here: another's name but for capitals, or a link to elsewhere."""
-        alike = [n for n in (*entrants_of(self.folder), *rivals(), "all") if n.casefold() == self.entrant.casefold() and n != self.entrant]
+        others = (*entrants_of(self.folder), *entrants(), "all")
+        alike = [n for n in others if n.casefold() == self.entrant.casefold() and n != self.entrant]
         if alike or self.entrant == "all":
             other = f"that of {alike[0]!r}" if alike else "what means everybody"
             raise ValueError(f"the name of an entrant must differ by more than capitals from {other}, got {self.entrant!r}")

@@ -66,10 +66,10 @@ class Answer:
 
     folder: Set
     """Folder of the set."""
-    rivals: Names = ("diagnosis",)
+    entrants: Names = ("diagnosis",)
     """Who answers; all: everybody who is not told the labels. oracle, who is, answers after the opening."""
     answers: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Seal answers that anybody made, FOLDER/CASE.json or FOLDER/CASE/diagnosis.json, under the one name in --rivals. An answer that says
+    """Seal answers that anybody made, FOLDER/CASE.json or FOLDER/CASE/diagnosis.json, under the one name in --entrants. An answer that says
     nothing sensible counts as failed."""
     check: bool = False
     """Only say what is wrong with --answers; nothing is sealed. Answers that are sealed twice before the opening are exploratory."""
@@ -84,24 +84,24 @@ class Answer:
         from ...datasets.concealed.folder import Folder
         from ..options import known
         from .answering import answer_set, take_answers
-        from .rivals import rivals
+        from .entrants import entrants
 
         known("preset", [self.preset], ("quick", "full"))
         known("device", [self.device], ("cpu", "cuda"))
         if self.answers is not None:
-            if len(self.rivals) != 1:
-                raise ValueError(f"--answers are sealed under one name, got --rivals {' '.join(self.rivals)}")
-            taken, root = take_answers(self.folder, name=self.rivals[0], source=self.answers, seal=not self.check)
+            if len(self.entrants) != 1:
+                raise ValueError(f"--answers are sealed under one name, got --entrants {' '.join(self.entrants)}")
+            taken, root = take_answers(self.folder, name=self.entrants[0], source=self.answers, seal=not self.check)
             failed = {case: said.error for case, said in taken.items() if said.verdict == "failed"}
             for case, why in failed.items():
                 _say(f"{case}: failed ({why})")
-            print(f"{self.rivals[0]}: {len(taken)} answers, {len(failed)} of them failed")
-            print("Nothing was sealed" if self.check else f"{self.rivals[0]}: publish the root {root}")
+            print(f"{self.entrants[0]}: {len(taken)} answers, {len(failed)} of them failed")
+            print("Nothing was sealed" if self.check else f"{self.entrants[0]}: publish the root {root}")
             return 1 if self.check and failed else 0
         if self.check:
             raise ValueError("--check looks at --answers FOLDER, and there is none")
-        untold = [name for name, rival in rivals().items() if not rival.told]
-        names = tuple(dict.fromkeys(n for name in self.rivals for n in (untold if name == "all" else [name])))
+        untold = [name for name, entrant in entrants().items() if not entrant.told]
+        names = tuple(dict.fromkeys(n for name in self.entrants for n in (untold if name == "all" else [name])))
         roots = answer_set(self.folder, names=names, preset=self.preset, device=self.device, jobs=self.jobs, progress=_say)
         for name, root in roots.items():
             print(f"{name}: publish the root {root}")
@@ -127,8 +127,8 @@ class Open:
         entry = open_set(self.folder)
         times = sum(e["event"] == "opened" for e in Folder(self.folder).ledger.read())
         print(f"Recordings and labels are as published. Opening {times} of this set: {self.folder / 'opened' / 'labels.json'}")
-        for rival, status in entry["rivals"].items():
-            print(f"{rival}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
+        for entrant, status in entry["rivals"].items():
+            print(f"{entrant}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
         print(f"Publish the ledger's head {entry['hash']}")
         return 0
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from ...datasets.concealed.folder import Folder, checked_label
 from ...datasets.concealed.seal import read_json, write_json
 from .book import Answers, entrants_of
-from .rivals import rivals
+from .entrants import entrants
 from .schema import Answer
 
 __all__ = ["judged", "open_set", "opened_labels"]
@@ -57,7 +57,7 @@ def _exploratory(folder, entrant, entries, manifest):
     """Why answers that are what was sealed are no test; empty where they are one."""
     looked = next((k for k, e in enumerate(entries) if e["event"] == "opened"), len(entries))
     before = [e["root"] for e in entries[:looked] if e["event"] == "answered" and e["rival"] == entrant]
-    frozen, known = folder.published()["origin"].get("commit"), rivals().get(entrant)
+    frozen, known = folder.published()["origin"].get("commit"), entrants().get(entrant)
     if known is not None and known.told:
         return "was told the labels"
     if manifest["root"] not in before:

@@ -24,7 +24,7 @@ from .truths import Row
 
 __all__ = ["Scored", "markdown", "score_set", "terminal", "write_scores"]
 
-JUDGE = "diagnosis"  # whose controls say what a twin of a sound body is off by, for all rivals alike
+JUDGE = "diagnosis"  # whose controls say what a twin of a sound body is off by, for all entrants alike
 CEILING = "oracle"
 SHOWN = 5  # failed answers of an entrant whose reasons are printed
 # figures of everybody's table, and what its columns are called
@@ -46,7 +46,7 @@ Scored = Mapping[str, tuple[dict, list[Row], list[Figure]]]
 
 
 def score_set(root: str | Path) -> Scored:
-    """By rival: its standing (see ``judged``), a row for every case, its figures; neither where its answers are gone or cannot be trusted.
+    """By entrant: its standing (see ``judged``), a row for every case, its figures; neither where its answers are gone or not trusted.
 
     Labels and answers are checked once more. A case without an answer, or with one that is not what was sealed or says nothing sensible,
     counts as one that refused. Raises ValueError where the set is still sealed or not what was published, or nothing was answered.
@@ -71,18 +71,18 @@ def score_set(root: str | Path) -> Scored:
 
 
 def compared(scored: Scored) -> Grid:
-    """Everybody's main figures; and how likely a difference in right names from the first rival is by chance (McNemar)."""
+    """Everybody's main figures; and how likely a difference in right names from the first entrant is by chance (McNemar)."""
     first = _first(scored)
 
-    def right(rival):
-        return [r.first for r in scored[rival][1] if r.kind == "effect"]
+    def right(entrant):
+        return [r.first for r in scored[entrant][1] if r.kind == "effect"]
 
     rows = []
-    for rival, (status, _, found) in scored.items():
+    for entrant, (status, _, found) in scored.items():
         by_name = {f.name: f for f in found}
-        differs = "-" if rival == first or not found else f"{mcnemar(right(first), right(rival)):.3f}"
-        rows.append((rival, *(_value(by_name[name]) if found else "-" for name in COMPARED), differs, status["status"]))
-    return Grid("Everybody", ("rival", *COMPARED.values(), "p", "status"), tuple(rows))
+        differs = "-" if entrant == first or not found else f"{mcnemar(right(first), right(entrant)):.3f}"
+        rows.append((entrant, *(_value(by_name[name]) if found else "-" for name in COMPARED), differs, status["status"]))
+    return Grid("Everybody", ("entrant", *COMPARED.values(), "p", "status"), tuple(rows))
 
 
 def _first(scored):
@@ -148,35 +148,35 @@ def markdown(scored: Scored, found: History) -> str:
 
 def _standings(scored, found):
     lines = []
-    for rival, (status, rows, _) in scored.items():
-        lines.append(f"{rival}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
+    for entrant, (status, rows, _) in scored.items():
+        lines.append(f"{entrant}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
         failed = [f"{r.name}: {r.answer['error']}" for r in rows if r.answer.get("error")]
-        lines += [f"{rival}: failed {one}" for one in failed[:SHOWN]]
-        lines += [f"{rival}: failed in {len(failed) - SHOWN} cases more, see score.json"] if len(failed) > SHOWN else []
+        lines += [f"{entrant}: failed {one}" for one in failed[:SHOWN]]
+        lines += [f"{entrant}: failed in {len(failed) - SHOWN} cases more, see score.json"] if len(failed) > SHOWN else []
     return [*lines, *(f"ledger: {note}" for note in found.notes), f"ledger: {found.entries} entries, head {found.head}"]
 
 
 def write_scores(scored: Scored, found: History, out: str | Path) -> list[Path]:
-    """Write ``score.md``, ``score.csv`` (a line for every figure of every rival) and ``score.json``, each in one rename."""
+    """Write ``score.md``, ``score.csv`` (a line for every figure of every entrant) and ``score.json``, each in one rename."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
-    lines = [{"rival": rival, "status": status["status"], **_plain(f)} for rival, (status, _, own) in scored.items() for f in own]
-    columns = ["rival", "status", *(f.name for f in fields(Figure)), "reached"]
+    lines = [{"entrant": entrant, "status": status["status"], **_plain(f)} for entrant, (status, _, own) in scored.items() for f in own]
+    columns = ["entrant", "status", *(f.name for f in fields(Figure)), "reached"]
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(lines)
     for name, content in (("score.md", markdown(scored, found)), ("score.csv", text.getvalue())):
         with replacing(out / name) as temporary:
             temporary.write_text(content, encoding="utf-8")
-    rivals = {rival: {"standing": status, "figures": [_plain(f) for f in own]} for rival, (status, _, own) in scored.items()}
+    entrants = {entrant: {"standing": status, "figures": [_plain(f) for f in own]} for entrant, (status, _, own) in scored.items()}
     cases = [
-        {"case": r.name, "rival": rival, "kind": r.kind, "truth": r.truth, "said": r.said, "verdict": r.verdict}
+        {"case": r.name, "entrant": entrant, "kind": r.kind, "truth": r.truth, "said": r.said, "verdict": r.verdict}
         | {"right": r.first, "size": _finite(r.ratio), "error": r.answer.get("error")}
-        for rival, (_, rows, _) in scored.items()
+        for entrant, (_, rows, _) in scored.items()
         for r in rows
     ]
-    whole = {"ledger": asdict(found), "rivals": rivals, "cases": cases, "tables": [asdict(g) for g in tables(scored)]}
+    whole = {"ledger": asdict(found), "entrants": entrants, "cases": cases, "tables": [asdict(g) for g in tables(scored)]}
     write_json(out / "score.json", whole)
     return [out / "score.md", out / "score.csv", out / "score.json"]
 

@@ -16,7 +16,7 @@ from .seal import HASH, NAME, content, digest, parsed
 __all__ = ["GENESIS", "Ledger"]
 
 GENESIS = "0" * 64
-# what an entry of each event says, beside its time and its place in the chain; "rival" is the name of an entrant
+# what an entry of each event says, beside its time and its place in the chain; "rival" is an entrant: hashes cover the old word
 COUNT = re.compile("[0-9]{1,9}")
 EVENTS = {"made": {"root": HASH}, "answered": {"rival": NAME, "root": HASH, "answers": COUNT}, "opened": {"set": HASH}}
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 from twinbench.benchmark.challenge import answering, book, opening, scoring
-from twinbench.benchmark.challenge.rivals.base import Rival, answer
+from twinbench.benchmark.challenge.entrants.base import Entrant, answer
 from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.case import Case
 from twinbench.datasets.concealed.engines import engine
@@ -57,7 +57,7 @@ class InThisProcess:
         return future
 
 
-class Guess(Rival):
+class Guess(Entrant):
     """Says by how far the points go whether something is there: it moves 5 cm farther where there is."""
 
     name = "guess"
@@ -88,7 +88,7 @@ class Broken(Guess):
         raise RuntimeError("out of ideas")
 
 
-FAKES = {rival.name: rival for rival in (Guess(), Told(), Broken())}
+FAKES = {entrant.name: entrant for entrant in (Guess(), Told(), Broken())}
 
 
 def without_simulators(monkeypatch):
@@ -101,7 +101,7 @@ def without_simulators(monkeypatch):
 def with_fakes(monkeypatch, fakes=FAKES):
     """The entrants of our own are ``fakes``, by a commit without changes."""
     for module in (answering, book, opening):
-        monkeypatch.setattr(module, "rivals", lambda: fakes)
+        monkeypatch.setattr(module, "entrants", lambda: fakes)
     monkeypatch.setattr(answering, "commit", lambda: COMMIT)
     monkeypatch.setattr(scoring, "JUDGE", "guess")
 

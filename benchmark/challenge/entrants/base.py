@@ -1,4 +1,4 @@
-"""What a rival is given, and what it must say."""
+"""What an entrant is given, and what it must say."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from ....diagnosis.fit import Task
     from ....diagnosis.inquiry import Inquiry
 
-__all__ = ["Given", "Rival", "answer", "mean_of", "one_hot", "parts_of", "tasks"]
+__all__ = ["Entrant", "Given", "answer", "mean_of", "one_hot", "parts_of", "tasks"]
 
 @dataclass
 class Given:
-    """A case as all rivals get it: two recordings of one object, no label.
+    """A case as all entrants get it: two recordings of one object, no label.
 
     The diagnosis is worked out once, when it is first asked for, and shared by all that build on it.
     """
@@ -57,7 +57,7 @@ class Given:
         return inquire(self.fit, [self.transfer], train_end=self.fit.split.train_end, preset=preset, device=self.device)
 
 
-class Rival(ABC):
+class Entrant(ABC):
     """One way to answer a case.
 
     name     by which it is chosen
