@@ -38,13 +38,16 @@ def test_workers_end_with_who_asked_for_them(how):
     program = subprocess.Popen(
         [sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, preexec_fn=plain
     )
-    workers = {int(word) for word in program.stdout.readline().split()}
-    assert len(workers) == 2
-    (os.killpg if how.endswith("all") else os.kill)(program.pid, getattr(signal, how.split()[0]))
-    said = program.communicate(timeout=LATE)[1]
-    while any(map(alive, workers)):
-        assert time.monotonic() - begun < LATE
-        time.sleep(0.05)
+    try:
+        workers = {int(word) for word in program.stdout.readline().split()}
+        assert len(workers) == 2
+        (os.killpg if how.endswith("all") else os.kill)(program.pid, getattr(signal, how.split()[0]))
+        said = program.communicate(timeout=LATE)[1]
+        while any(map(alive, workers)):
+            assert time.monotonic() - begun < LATE
+            time.sleep(0.05)
+    finally:
+        program.kill()
     assert program.returncode != 0
     assert said.count("Traceback") == (1 if "INT" in how else 0)  # that of the program itself, which does not catch Ctrl-C
 
