@@ -16,12 +16,12 @@ __all__ = ["main"]
 
 @dataclass(frozen=True)
 class Challenge:
-    """Make, answer, open and score a sealed challenge: twinbench challenge make | answer | open | score."""
+    """Make, answer, open and score a sealed challenge: twinbench challenge make | answer | open | score | pack | unpack."""
 
     commands: ClassVar = ".challenge.commands"
 
     def __call__(self) -> int:
-        raise ValueError("twinbench challenge needs one of make, answer, open, score")
+        raise ValueError("twinbench challenge needs one of make, answer, open, score, pack, unpack")
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..datasets.concealed.make import Folder
+from ..datasets.concealed.folder import Folder
 from ..datasets.concealed.seal import read_json, write_json
 from ..diagnosis.balance import TURNS
 from ..diagnosis.verdict import (
@@ -84,7 +84,7 @@ def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu"
 def ceilings(
     data: Path, out: Path, labels: dict[str, dict], *, preset: str = "quick", device: str = "cpu", jobs: int = 1
 ) -> dict[str, dict]:
-    """By case with an effect, the answer of who is told the effect and its place (the rival "oracle"); those that are there are kept."""
+    """By case with an effect, the answer of who is told the effect and its place (the entrant "oracle"); those that are there are kept."""
     files = {name: out / name / "oracle.json" for name, label in labels.items() if label["kind"] == "effect" and (data / name).is_dir()}
     todo = [(data / name, ("oracle",), preset, device, labels[name]) for name, file in files.items() if not file.exists()]
     for (case, *_), found in each(answer_case, todo, jobs=jobs, device=device):

@@ -11,26 +11,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from twinbench.benchmark.challenge import answering, opening, scoring
+from challenges import MANY, TINY, drawn, republish, spoil, with_fakes, without_simulators
+from twinbench.benchmark.challenge import answering
 from twinbench.benchmark.challenge.answering import answer_set, take_answers
 from twinbench.benchmark.challenge.opening import open_set, opened_labels
-from twinbench.benchmark.challenge.rivals.base import Rival, answer
 from twinbench.benchmark.challenge.scoring import score_set
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.concealed import study
 from twinbench.datasets import safe_pickle
 from twinbench.datasets.concealed import make as making
 from twinbench.datasets.concealed.audit import audit, outside_of
-from twinbench.datasets.concealed.case import CLEAR, CONTROLS, Case, build
+from twinbench.datasets.concealed.case import CLEAR, CONTROLS, build
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
-from twinbench.datasets.concealed.engines import ENGINES, able
-from twinbench.datasets.concealed.make import Folder, make
+from twinbench.datasets.concealed.engines import ENGINES, able, require
+from twinbench.datasets.concealed.folder import Folder
+from twinbench.datasets.concealed.labelled import main as write_labelled
+from twinbench.datasets.concealed.ledger import Ledger
+from twinbench.datasets.concealed.make import make
 from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, plan
-from twinbench.datasets.concealed.seal import Ledger, canonical, digest, folder_digest, read_json, salt_of, sealed, seed_of, write_json
-from twinbench.datasets.scenario import Scenario, Split
+from twinbench.datasets.concealed.seal import canonical, digest, folder_digest, read_json, salt_of, sealed, seed_of, write_json
 
 ROOT = Path(__file__).resolve().parents[1]
-TINY = Preset(controls=3, levels=(1.0, 2.0), outside=1, pairs=1, effects=2)
 
 
 # --- the plan -------------------------------------------------------------------------------------------------------------------------
@@ -121,67 +122,30 @@ def test_a_folder_is_known_by_names_and_contents(tmp_path):
 
 
 def test_a_ledger_is_only_added_to(tmp_path):
-    ledger = Ledger(tmp_path / "ledger.jsonl")
-    first = ledger.append("made", root="r")
-    head = ledger.append("opened", set="r")["hash"]
+    ledger, root = Ledger(tmp_path / "ledger.jsonl"), "ab" * 32
+    first = ledger.append("made", root=root)
+    head = ledger.append("opened", set=root)["hash"]
     assert [e["event"] for e in ledger.read()] == ["made", "opened"] and ledger.head == head
     assert ledger.read()[1]["before"] == first["hash"]
     lines = ledger.file.read_text().splitlines()
-    for spoilt in ([lines[0].replace('"r"', '"s"'), lines[1]], [lines[1]], lines[::-1], ["{}", *lines], ["nonsense"]):
+    for spoilt in ([lines[0].replace("abab", "baba"), lines[1]], [lines[1]], lines[::-1], ["{}", *lines], ["nonsense"], [*lines, ""]):
         ledger.file.write_text("\n".join(spoilt) + "\n")
-        with pytest.raises(ValueError, match=r"ledger\.jsonl: line [12] "):
-            ledger.append("opened", set="r")
+        with pytest.raises(ValueError, match=r"ledger\.jsonl: line [123] "):
+            ledger.append("opened", set=root)
     ledger.file.write_text(lines[0] + "\n")  # what is cut off at the end shows in the head alone
     assert ledger.head != head
+    for event, about in (("made", {"root": "r"}), ("answered", {"root": root, "rival": "../x"}), ("praised", {})):
+        with pytest.raises(ValueError, match=r"ledger\.jsonl: (root|rival|event) must be"):
+            ledger.append(event, **about)
+    assert ledger.file.read_text() == lines[0] + "\n"
 
 
 # --- making ---------------------------------------------------------------------------------------------------------------------------
 
 
-def filmed(name, rng, *, frames=12, moved=0.0):
-    """A recording of a few points; ``moved`` is what is concealed in it."""
-    points = rng.normal(0, 0.1, (1, 15, 3)) + np.linspace(0, 0.1 + moved, frames)[:, None, None]
-    there = np.ones(points.shape[:2], bool)
-    about = {"fps": 30.0, "split": Split(8, frames), "gravity": [0, 0, 9.81]}
-    return Scenario(name=name, points=points, visible=there, motion_valid=there, controllers=points[:, :3] + 0.01, **about)
-
-
-def drawn(kind, name, body, *, seed, clear, like, engine):
-    """What ``build`` does, at no cost; a torn body cannot be drawn as a cloth."""
-    if name == "tearing" and body == "cloth":
-        raise RuntimeError("no tearing of a cloth")
-    rng = np.random.default_rng(seed)
-    frames = int(rng.integers(10, 15))
-    size = 0.0 if kind == "control" else 0.05
-    label = {"kind": kind, "effect": None if kind == "control" else name, "control": name if kind == "control" else None, "object": body}
-    label |= {"displacement": size, "place": [None, None], "onset": [0, 0], "parameters": {"seed": seed}}
-    return Case(filmed("fit", rng, frames=frames, moved=size), filmed("transfer", rng, frames=frames, moved=size), label)
-
-
 @pytest.fixture(autouse=True)
 def cheap(monkeypatch):
-    monkeypatch.setattr(making, "build", drawn)
-    monkeypatch.setattr(making, "ProcessPoolExecutor", InThisProcess)
-
-
-class InThisProcess:
-    """An executor that runs at once, so that what is patched is seen."""
-
-    def __init__(self, jobs):
-        pass
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *error):
-        return False
-
-    def submit(self, function, *given):
-        from concurrent.futures import Future
-
-        future = Future()
-        future.set_result(function(*given))
-        return future
+    without_simulators(monkeypatch)
 
 
 def test_the_same_seed_is_the_same_set_to_the_last_byte(tmp_path):
@@ -280,9 +244,6 @@ def told(folder):
     }
 
 
-MANY = Preset(controls=12, levels=(1.0,), outside=4, pairs=0, effects=8)
-
-
 def test_names_sizes_types_and_times_do_not_tell_controls(tmp_path):
     make(tmp_path, preset=MANY, seed="z", engines=("mujoco",))
     folder = Folder(tmp_path)
@@ -324,50 +285,13 @@ def test_an_audit_of_one_kind_is_refused(tmp_path):
 # --- answering, opening, scoring --------------------------------------------------------------------------------------------------------
 
 
-class Guess(Rival):
-    """Says by how far the points go whether something is there: it moves 5 cm farther where there is."""
-
-    name = "guess"
-
-    def answer(self, given):
-        far = np.ptp(given.fit.points[..., 0].mean(axis=1))
-        said = answer("named", "wind", where={"points": [0], "centroid": [0.0, 0.0, 0.0], "radius": 0.01}, when={"frames": [0, 10]})
-        errors = {part: {"baseline": 0.01, "extended": None, "noise_floor": 0.001} for part in ("train", "heldout", "transfer")}
-        return (said if far > 0.125 else answer("adequate")) | {"fit": errors}
-
-
-class Told(Guess):
-    """Knows."""
-
-    name, told = "told", True
-
-    def answer(self, given):
-        assert given.label is not None
-        return answer("adequate") if given.label["kind"] == "control" else answer("unknown")
-
-
-class Broken(Guess):
-    """Fails."""
-
-    name = "broken"
-
-    def answer(self, given):
-        raise RuntimeError("out of ideas")
-
-
-FAKES = {rival.name: rival for rival in (Guess(), Told(), Broken())}
+@pytest.fixture
+def entrants(monkeypatch):
+    with_fakes(monkeypatch)
 
 
 @pytest.fixture
-def rivals(monkeypatch):
-    for module in (answering, opening):
-        monkeypatch.setattr(module, "rivals", lambda: FAKES)
-    monkeypatch.setattr(answering, "commit", lambda: "c" * 40)
-    monkeypatch.setattr(scoring, "JUDGE", "guess")
-
-
-@pytest.fixture
-def challenge(tmp_path, rivals):
+def challenge(tmp_path, entrants):
     make(tmp_path / "set", preset=MANY, seed="z", engines=("mujoco",))
     return Folder(tmp_path / "set")
 
@@ -382,7 +306,7 @@ def test_answers_are_given_without_the_labels(challenge):
     assert {a["verdict"] for a in answers} == {"adequate", "missing"} and all(a["by"]["commit"] == "c" * 40 for a in answers)
 
 
-@pytest.mark.parametrize("room", ["diagnosis", "benchmark/challenge/rivals"])
+@pytest.mark.parametrize("room", ["diagnosis", "benchmark/challenge/entrants"])
 def test_who_answers_imports_nothing_of_those_who_conceal(room):
     """Neither directly nor through anything that it imports, at the top of a file or inside a function."""
     seen, todo = set(), files_of(room)
@@ -419,7 +343,7 @@ def test_answers_are_kept_and_a_failure_is_an_answer(challenge, capsys):
     assert [e["event"] for e in challenge.ledger.read()] == ["made", "answered", "answered"]  # nothing new, nothing entered
     failed = json.loads((challenge.root / "answers" / "broken" / "case_000.json").read_text())
     assert failed["verdict"] == "failed" and failed["error"] == "RuntimeError: out of ideas"
-    with pytest.raises(ValueError, match="unknown rival 'gues'; did you mean 'guess'"):
+    with pytest.raises(ValueError, match="unknown entrant 'gues'; did you mean 'guess'"):
         answer_set(challenge.root, names=("gues",))
     with pytest.raises(ValueError, match="is still sealed"):
         answer_set(challenge.root, names=("told",))
@@ -447,19 +371,19 @@ def test_answers_of_anybody_are_taken_and_sealed(challenge, tmp_path):
 
 WRONG = [
     ({"verdict": "perhaps"}, "verdict must be one of adequate, missing"),
-    ({"verdict": "missing", "effect": None}, "a name must be one of quadratic_drag"),
-    ({"verdict": "missing", "effect": "levitation"}, "a name must be one of quadratic_drag"),
+    ({"verdict": "missing", "effect": None}, "effect must be one of quadratic_drag"),
+    ({"verdict": "missing", "effect": "levitation"}, "effect must be one of quadratic_drag"),
     ({"verdict": "unknown", "effect": "wind"}, "effect must be null where the verdict names nothing"),
     ({"verdict": "unknown", "probabilities": {"wind": 0.7}}, "probabilities must sum to 1, got 0.7"),
-    ({"verdict": "missing", "effect": "wind", "where": {"centroid": [0, 0, 0]}}, "where must be null or have centroid, points, radius"),
-    ({"verdict": "missing", "effect": "wind", "when": [0, 9]}, "when must be null or have frames"),
-    ({"verdict": "missing", "effect": "wind", "parameters": {"wind_x": 3}}, "every one of the parameters must have a value"),
+    ({"verdict": "missing", "effect": "wind", "where": {"centroid": [0, 0, 0]}}, "where must have points, centroid, radius"),
+    ({"verdict": "missing", "effect": "wind", "when": [0, 9]}, "when must be an object"),
+    ({"verdict": "missing", "effect": "wind", "parameters": {"wind_x": 3}}, "parameters.wind_x must be an object"),
     ([], "must be an object"),
 ]
 
 
 @pytest.mark.parametrize(("given", "says"), WRONG)
-def test_answers_that_say_nothing_sensible_are_refused(challenge, tmp_path, given, says):
+def test_answers_none_of_which_says_anything_sensible_are_refused(challenge, tmp_path, given, says):
     (tmp_path / "own").mkdir()
     (tmp_path / "own" / "case_000.json").write_text(json.dumps(given))
     with pytest.raises(ValueError, match=f"case_000.json: .*{says}"):
@@ -501,7 +425,7 @@ def test_opening_is_written_down_and_what_comes_later_is_exploratory(challenge):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_only_the_frozen_tool_is_tested(tmp_path, rivals, late, monkeypatch):
+def test_only_the_frozen_tool_is_tested(tmp_path, entrants, late, monkeypatch):
     commit = "c" * 40
     make(tmp_path, preset=TINY, seed=seed_of(commit, "round 7"), engines=("mujoco",), origin={"commit": commit, "beacon": "round 7"})
     if late:
@@ -512,26 +436,11 @@ def test_only_the_frozen_tool_is_tested(tmp_path, rivals, late, monkeypatch):
     assert not late or "not by the frozen cccccccccccc" in status["why"]
 
 
-def spoil(file, change):
-    value = json.loads(file.read_text())
-    change(value)
-    file.write_text(json.dumps(value))
-
-
 SPOILT = {
     "a recording": (lambda f: (f.cases / "case_003" / "transfer" / "split.json").write_text("{}"), "case_003: is not what was published"),
     "a further file": (lambda f: (f.cases / "case_003" / "notes.txt").write_text("wind"), "case_003: is not what was published"),
     "a label": (lambda f: spoil(f.kept / "case_002.json", lambda v: v["label"].update(kind="outside")), "the label's hash differs"),
     "a salt": (lambda f: spoil(f.kept / "case_002.json", lambda v: v.update(salt="0" * 64)), "the label's hash differs"),
-    "an answer": (
-        lambda f: spoil(f.root / "answers" / "guess" / "case_001.json", lambda v: v.update(verdict="unknown")),
-        "case_001.json: is not what was sealed",
-    ),
-    "an answer that is gone": (
-        lambda f: (f.root / "answers" / "guess" / "case_001.json").unlink(),
-        "case_001.json: is not what was sealed",
-    ),
-    "an answer and its hash": (lambda f: reseal(f), "is not what the ledger says was sealed last"),
     "the manifest": (lambda f: spoil(f.manifest, lambda v: v["cases"].pop("case_004")), "manifest.json: was changed"),
     "the manifest and its root": (lambda f: republish(f), "is not the manifest that the ledger says was published"),
     "the ledger": (
@@ -539,21 +448,6 @@ SPOILT = {
         "the chain of hashes is broken",
     ),
 }
-
-
-def reseal(folder):
-    """Change an answer and its seal so that they fit each other."""
-    answer_file, seal_file = (folder.root / "answers" / "guess" / name for name in ("case_001.json", "sealed.json"))
-    spoil(answer_file, lambda v: v.update(verdict="unknown"))
-    seal = json.loads(seal_file.read_text())
-    seal["answers"]["case_001"] = digest(json.loads(answer_file.read_text()))
-    seal_file.write_text(json.dumps(seal | {"root": digest({k: v for k, v in seal.items() if k != "root"})}))
-
-
-def republish(folder):
-    manifest = json.loads(folder.manifest.read_text())
-    manifest["cases"].pop("case_004")
-    folder.manifest.write_text(json.dumps(manifest | {"root": digest({k: v for k, v in manifest.items() if k != "root"})}))
 
 
 @pytest.mark.parametrize("what", SPOILT)
@@ -573,7 +467,7 @@ def test_what_is_changed_after_the_opening_is_not_scored(challenge):
     open_set(challenge.root)
     spoil(challenge.root / "opened" / "labels.json", lambda v: v["case_000"]["label"].update(kind="control", effect=None))
     spoil(challenge.root / "opened" / "labels.json", lambda v: v["case_001"]["label"].update(kind="control", effect=None))
-    with pytest.raises(ValueError, match="is not what was published: its hash differs"):
+    with pytest.raises(ValueError, match="is not what was published: the label's hash differs"):
         score_set(challenge.root)
 
 
@@ -590,13 +484,13 @@ def test_an_opened_set_is_a_folder_of_cases_and_a_sealed_one_is_not(challenge, t
     assert scored["alarms"] == 0 and scored["controls"] == 12  # the guess never errs on controls
 
 
-def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):
+def test_the_commands_from_end_to_end(tmp_path, entrants, capsys, monkeypatch):
     monkeypatch.setitem(PRESETS, "quick", MANY)
     folder = tmp_path / "set"
     assert main(["challenge", "make", "--out", str(folder), "--seed", "z"]) == 0
-    assert main(["challenge", "answer", str(folder), "--rivals", "guess"]) == 0
+    assert main(["challenge", "answer", str(folder), "--entrants", "guess"]) == 0
     assert main(["challenge", "open", str(folder)]) == 0
-    assert main(["challenge", "answer", str(folder), "--rivals", "told"]) == 0
+    assert main(["challenge", "answer", str(folder), "--entrants", "told"]) == 0
     capsys.readouterr()
     assert main(["challenge", "score", str(folder)]) == 0
     said = capsys.readouterr().out
@@ -604,13 +498,13 @@ def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):
     assert "false alarms, 95 % bound" in said and "guess: confirmatory, 24 answers" in said and "told: exploratory" in said
     assert sorted(p.name for p in (folder / "score").iterdir()) == ["score.csv", "score.json", "score.md"]
     told = json.loads((folder / "score" / "score.json").read_text())
-    figures = {f["name"]: f for f in told["rivals"]["guess"]["figures"]}
+    figures = {f["name"]: f for f in told["entrants"]["guess"]["figures"]}
     # it never errs on controls, and it knows one name only
     assert figures["false alarms"]["value"] == 0 and figures["false alarms"]["cases"] == 12
     assert figures["false alarms, 95 % bound"]["value"] == pytest.approx(1 - 0.05 ** (1 / 12))
     assert figures["effects found"]["value"] == 1 and len(told["cases"]) == 48
     rows = list(csv.DictReader((folder / "score" / "score.csv").open()))
-    assert {r["rival"] for r in rows} == {"guess", "told"} and {r["name"] for r in rows} == set(figures)
+    assert {r["entrant"] for r in rows} == {"guess", "told"} and {r["name"] for r in rows} == set(figures)
     assert root == Folder(folder).published()["root"]
     for wrong, says in (
         (["make", "--out", str(folder)], "--seed or from --beacon"),
@@ -622,3 +516,35 @@ def test_the_commands_from_end_to_end(tmp_path, rivals, capsys, monkeypatch):
     ):
         assert main(["challenge", *wrong]) == 2
         assert says in capsys.readouterr().err
+
+
+# --- what must be installed -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lacking", "engines", "says"),
+    [
+        ("newton", (), "not installed: newton (engine newton); pip install"),
+        ("mujoco", ("mujoco",), "mujoco-core (engine mujoco)"),
+        ("elastica", ("finite", "cosserat"), "pyelastica (engine cosserat)"),
+        ("threadpoolctl", ("finite",), "threadpoolctl (engine finite)"),
+    ],
+)
+def test_a_simulator_that_is_missing_is_said_at_once(tmp_path, monkeypatch, capsys, lacking, engines, says):
+    monkeypatch.setattr(making, "require", require)
+    monkeypatch.setattr("twinbench.datasets.concealed.engines.find_spec", lambda name: None if name == lacking else True)
+    named = ["--engines", *engines] if engines else []
+    assert main(["challenge", "make", "--out", str(tmp_path / "set"), "--seed", "x", *named]) == 2
+    said = capsys.readouterr().err
+    assert says in said and 'pip install "twinbench[synthetic]"' in said and said.count("\n") == 1
+    assert not (tmp_path / "set" / "sealed").exists()
+    if engines:
+        assert write_labelled(["--out", str(tmp_path / "cases"), "--engine", engines[-1]]) == 2
+        assert says in capsys.readouterr().err and not (tmp_path / "cases").exists()
+
+
+def test_a_simulator_that_is_not_asked_for_need_not_be_there(monkeypatch):
+    monkeypatch.setattr("twinbench.datasets.concealed.engines.find_spec", lambda name: None if name == "newton" else True)
+    require(("mujoco", "finite", "cosserat"))
+    with pytest.raises(ValueError, match="unknown engine 'bullet'"):
+        require(("bullet",))

@@ -232,7 +232,7 @@ def test_what_an_answer_leaves_out_is_not_counted():
 
 
 def test_a_missing_answer_is_a_refusal():
-    from twinbench.benchmark.challenge.rivals.base import FAILED
+    from twinbench.benchmark.challenge.schema import FAILED
 
     row = Row("x", WINDY, FAILED)
     assert not row.alarm and not row.named and row.suspicion == 0 and row.conviction == 0 and row.likeliest == (NONE, 1.0)

@@ -1,4 +1,4 @@
-"""The command line of the challenge: ``twinbench challenge make | answer | open | score``."""
+"""The command line of the challenge: ``twinbench challenge make | answer | open | score | pack | unpack``."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ class Make:
     def __call__(self) -> int:
         from ...datasets.concealed.audit import audit
         from ...datasets.concealed.engines import ENGINES
-        from ...datasets.concealed.make import Folder, make
+        from ...datasets.concealed.folder import Folder
+        from ...datasets.concealed.make import make
         from ...datasets.concealed.seal import read_json, seed_of
         from ..options import writable
         from ..provenance import commit
@@ -65,10 +66,13 @@ class Answer:
 
     folder: Set
     """Folder of the set."""
-    rivals: Names = ("diagnosis",)
+    entrants: Names = ("diagnosis",)
     """Who answers; all: everybody who is not told the labels. oracle, who is, answers after the opening."""
     answers: Annotated[Path | None, arg(metavar="FOLDER")] = None
-    """Seal answers that anybody made, FOLDER/CASE.json or FOLDER/CASE/diagnosis.json, under the one name in --rivals."""
+    """Seal answers that anybody made, FOLDER/CASE.json or FOLDER/CASE/diagnosis.json, under the one name in --entrants. An answer that says
+    nothing sensible counts as failed."""
+    check: bool = False
+    """Only say what is wrong with --answers; nothing is sealed. Answers that are sealed twice before the opening are exploratory."""
     preset: str = "quick"
     """quick or full."""
     device: str = "cpu"
@@ -77,22 +81,31 @@ class Answer:
     """Cases that are answered at the same time."""
 
     def __call__(self) -> int:
+        from ...datasets.concealed.folder import Folder
         from ..options import known
         from .answering import answer_set, take_answers
-        from .rivals import rivals
+        from .entrants import entrants
 
         known("preset", [self.preset], ("quick", "full"))
         known("device", [self.device], ("cpu", "cuda"))
         if self.answers is not None:
-            if len(self.rivals) != 1:
-                raise ValueError(f"--answers are sealed under one name, got --rivals {' '.join(self.rivals)}")
-            print(f"{self.rivals[0]}: publish the root {take_answers(self.folder, name=self.rivals[0], source=self.answers)}")
-            return 0
-        untold = [name for name, rival in rivals().items() if not rival.told]
-        names = tuple(dict.fromkeys(n for name in self.rivals for n in (untold if name == "all" else [name])))
+            if len(self.entrants) != 1:
+                raise ValueError(f"--answers are sealed under one name, got --entrants {' '.join(self.entrants)}")
+            taken, root = take_answers(self.folder, name=self.entrants[0], source=self.answers, seal=not self.check)
+            failed = {case: said.error for case, said in taken.items() if said.verdict == "failed"}
+            for case, why in failed.items():
+                _say(f"{case}: failed ({why})")
+            print(f"{self.entrants[0]}: {len(taken)} answers, {len(failed)} of them failed")
+            print("Nothing was sealed" if self.check else f"{self.entrants[0]}: publish the root {root}")
+            return 1 if self.check and failed else 0
+        if self.check:
+            raise ValueError("--check looks at --answers FOLDER, and there is none")
+        untold = [name for name, entrant in entrants().items() if not entrant.told]
+        names = tuple(dict.fromkeys(n for name in self.entrants for n in (untold if name == "all" else [name])))
         roots = answer_set(self.folder, names=names, preset=self.preset, device=self.device, jobs=self.jobs, progress=_say)
         for name, root in roots.items():
             print(f"{name}: publish the root {root}")
+        print(f"Publish the ledger's head {Folder(self.folder).ledger.head}")
         return 0
 
 
@@ -100,21 +113,22 @@ class Answer:
 class Open:
     """Open a sealed set: check recordings, labels and answers against what was published, write the labels, enter it into the ledger.
 
-    Refuses, and opens nothing, where anything was changed. Answers that are sealed later are exploratory.
+    Refuses, and opens nothing, where the set was changed; an entrant whose answers were is marked so, and one whose are gone too.
+    Answers that are sealed later are exploratory.
     """
 
     folder: Set
     """Folder of the set."""
 
     def __call__(self) -> int:
-        from ...datasets.concealed.make import Folder
+        from ...datasets.concealed.folder import Folder
         from .opening import open_set
 
         entry = open_set(self.folder)
         times = sum(e["event"] == "opened" for e in Folder(self.folder).ledger.read())
-        print(f"All hashes are as published. Opening {times} of this set: {self.folder / 'opened' / 'labels.json'}")
-        for rival, status in entry["rivals"].items():
-            print(f"{rival}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
+        print(f"Recordings and labels are as published. Opening {times} of this set: {self.folder / 'opened' / 'labels.json'}")
+        for entrant, status in entry["rivals"].items():
+            print(f"{entrant}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
         print(f"Publish the ledger's head {entry['hash']}")
         return 0
 
@@ -127,19 +141,69 @@ class Score:
     """Folder of the set."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Folder for score.md, score.csv and score.json. Default: score in the folder of the set."""
+    head: Annotated[str | None, arg(metavar="HASH")] = None
+    """The last head of the ledger that was published: refuses to score where entries up to it were cut off or written anew."""
 
     def __call__(self) -> int:
+        from ...datasets.concealed.folder import Folder
         from ..options import writable
+        from .history import history
         from .scoring import score_set, terminal, write_scores
 
+        found = history(Folder(self.folder), self.head)
         scored = score_set(self.folder)
-        print(terminal(scored))
+        print(terminal(scored, found))
         out = writable(self.out or self.folder / "score")
-        print(f"\nWritten to {out}: {', '.join(file.name for file in write_scores(scored, out))}")
+        print(f"\nWritten to {out}: {', '.join(file.name for file in write_scores(scored, found, out))}")
         return 0
 
 
-COMMANDS = {"make": Make, "answer": Answer, "open": Open, "score": Score}
+@dataclass(frozen=True)
+class Pack:
+    """Pack a part of a sealed set: what entrants get (cases, manifest, ledger), or what a keeper has until all have answered (sealed).
+
+    Whoever holds sealed/ can look. A test that shall convince others needs it with a keeper, and nowhere else, until it is opened.
+    """
+
+    folder: Set
+    """Folder of the set."""
+    to: Annotated[str, arg(metavar="WHOM")]
+    """entrant or keeper."""
+    out: Annotated[Path | None, arg(metavar="FILE")] = None
+    """The archive (zip). Default: SET-WHOM.zip beside the folder of the set. The same set gives the same bytes."""
+
+    def __call__(self) -> int:
+        from ..options import known
+        from .packing import PARTS, pack
+
+        known("part", [self.to], PARTS)
+        file, digest = pack(self.folder, self.to, self.out)
+        print(f"{file}: {', '.join(PARTS[self.to])} for the {self.to}; SHA-256 {digest}")
+        if self.to == "keeper":
+            print(f"Once the keeper has it, delete {file} and {self.folder / 'sealed'} here; twinbench challenge unpack brings it back")
+        return 0
+
+
+@dataclass(frozen=True)
+class Unpack:
+    """Put what twinbench challenge pack wrote into the folder of a set.
+
+    Refuses links, paths that lead elsewhere, and what is there already.
+    """
+
+    archive: Annotated[Positional[Path], arg(metavar="FILE")]
+    """The archive."""
+    folder: Set
+    """Folder of the set."""
+
+    def __call__(self) -> int:
+        from .packing import unpack
+
+        print(f"{self.folder}: {', '.join(unpack(self.archive, self.folder))}")
+        return 0
+
+
+COMMANDS = {"make": Make, "answer": Answer, "open": Open, "score": Score, "pack": Pack, "unpack": Unpack}
 
 
 def _say(said: str) -> None:

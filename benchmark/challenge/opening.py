@@ -4,94 +4,79 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...datasets.concealed.make import Folder
-from ...datasets.concealed.seal import digest, read_json, sealed, write_json
-from .book import Answers, check_recordings
-from .rivals import rivals
+from ...datasets.concealed.folder import Folder, checked_label
+from ...datasets.concealed.seal import read_json, write_json
+from .book import Answers, entrants_of
+from .entrants import entrants
+from .schema import Answer
 
-__all__ = ["checked_answers", "open_set", "opened_labels", "standing"]
-
-
-def labels_file(folder: Folder) -> Path:
-    return folder.root / "opened" / "labels.json"
+__all__ = ["judged", "open_set", "opened_labels"]
 
 
 def open_set(root: str | Path) -> dict:
-    """Verify recordings, labels and answers against what was published, write ``opened/labels.json``, enter it into the ledger.
+    """Verify recordings and labels against what was published, enter the opening into the ledger, write ``opened/labels.json``.
 
-    Returns the ledger's entry: for each rival whether its answers were sealed before anybody looked ("confirmatory") or not
-    ("exploratory", and why). Raises ValueError, and opens nothing, at the first thing that is not what was published.
+    Returns the ledger's entry: for each entrant whether its answers were sealed before anybody looked ("confirmatory") or not
+    ("exploratory"), are not what was sealed ("changed") or gone ("withdrawn"), and why.
+    Raises ValueError, and opens nothing, where the set itself is not what was published.
     """
     folder = Folder(Path(root))
     published = folder.published()
-    entries = folder.ledger.read()
-    made = [e for e in entries if e["event"] == "made"]
-    if not made or made[0]["root"] != published["root"]:
-        raise ValueError(f"{folder.manifest}: is not the manifest that the ledger says was published")
+    folder.history()
     for name in published["cases"]:
-        check_recordings(folder, name, published)
-    labels = {}
-    for name, hashes in published["cases"].items():
-        kept = read_json(folder.kept / f"{name}.json")
-        if sealed(kept.get("label", {}), kept.get("salt", "")) != hashes["label"]:
-            raise ValueError(f"{folder.kept / name}.json: is not what was published: the label's hash differs from that in manifest.json")
-        labels[name] = {"label": kept["label"], "salt": kept["salt"]}
-    found = {rival: checked_answers(folder, rival)[0] for rival in answered(folder)}
-    write_json(labels_file(folder), labels)
-    status = {rival: standing(folder, rival, manifest) for rival, manifest in found.items()}
-    return folder.ledger.append("opened", set=published["root"], rivals=status)
+        folder.check_recordings(name, published)
+    labels = {name: folder.kept_label(name, published) for name in published["cases"]}
+    status = {name: judged(folder, name)[0] for name in entrants_of(folder)}
+    entry = folder.ledger.append("opened", set=published["root"], rivals=status)  # first: no label is out before the ledger says so
+    write_json(folder.labels, labels)
+    return entry
 
 
-def answered(folder: Folder) -> list[str]:
-    """Rivals that have sealed answers, the diagnosis first."""
-    names = [file.parent.name for file in (folder.root / "answers").glob("*/sealed.json")]
-    return sorted(names, key=lambda name: (name != "diagnosis", name))
+def judged(folder: Folder, entrant: str) -> tuple[dict, dict[str, Answer] | None]:
+    """Whether an entrant's answers count as a test, and the answers by case; None where none can be trusted.
+
+    They do count where they were sealed once, before the first opening, by the commit that was frozen. Nothing that an entrant does with
+    its answers is an error of the set.
+    """
+    book = Answers(folder, entrant)
+    entries = folder.history()
+    sealed = [e for e in entries if e["event"] == "answered" and e["rival"] == entrant]
+    last = {"root": sealed[-1]["root"], "answers": sealed[-1]["answers"]} if sealed else {"root": "", "answers": 0}
+    if sealed and not book.seal.exists():
+        return {"status": "withdrawn", **last, "why": f"sealed on {sealed[-1]['time'][:10]}, and gone"}, None
+    try:
+        manifest, answers, changed = book.checked(list(folder.published()["cases"]))
+    except ValueError as error:
+        return {"status": "changed", **last, "why": str(error)}, None
+    why = changed or _exploratory(folder, entrant, entries, manifest)
+    status = {"status": "changed" if changed else "exploratory" if why else "confirmatory", "root": manifest["root"]}
+    return status | {"answers": len(manifest["answers"])} | ({"why": why} if why else {}), answers
 
 
-def checked_answers(folder: Folder, rival: str) -> tuple[dict, dict[str, dict]]:
-    """A rival's manifest and answers. Raises ValueError where they are not those whose hashes were sealed and entered into the ledger."""
-    book = Answers(folder, rival)
-    manifest, published = read_json(book.seal), folder.published()
-    if digest({k: v for k, v in manifest.items() if k != "root"}) != manifest.get("root") or manifest.get("set") != published["root"]:
-        raise ValueError(f"{book.seal}: was changed after it was written, or belongs to another set")
-    entered = [e["root"] for e in folder.ledger.read() if e["event"] == "answered" and e["rival"] == rival]
-    if manifest["root"] not in entered[-1:]:
-        raise ValueError(f"{book.seal}: is not what the ledger says was sealed last; twinbench challenge answer seals answers")
-    answers = book.read(list(published["cases"]))
-    for name in sorted({*answers, *manifest["answers"]}):
-        if name not in answers or name not in manifest["answers"] or digest(answers[name]) != manifest["answers"][name]:
-            raise ValueError(f"{book.file(name)}: is not what was sealed: the hash of the answer differs from that in {book.seal.name}")
-    return manifest, answers
-
-
-def standing(folder: Folder, rival: str, manifest: dict) -> dict:
-    """Whether a rival's answers count as a test. They do where they were sealed before the first opening, by the commit that was frozen."""
-    published, entries = folder.published(), folder.ledger.read()
+def _exploratory(folder, entrant, entries, manifest):
+    """Why answers that are what was sealed are no test; empty where they are one."""
     looked = next((k for k, e in enumerate(entries) if e["event"] == "opened"), len(entries))
-    before = [e["root"] for e in entries[:looked] if e["event"] == "answered" and e["rival"] == rival]
-    frozen = published["origin"].get("commit")
-    known = rivals().get(rival)
-    why = ""
+    before = [e["root"] for e in entries[:looked] if e["event"] == "answered" and e["rival"] == entrant]
+    frozen, known = folder.published()["origin"].get("commit"), entrants().get(entrant)
     if known is not None and known.told:
-        why = "was told the labels"
-    elif manifest["root"] not in before:
-        why = "the set had been opened before these answers were sealed"
-    elif len(set(before)) > 1:
-        why = "answered more than once before the opening"
-    elif known is not None and frozen and manifest["commit"] != frozen:
-        why = f"answered by commit {manifest['commit'][:12]}, not by the frozen {frozen[:12]}"
-    status = {"status": "exploratory" if why else "confirmatory", "root": manifest["root"], "answers": len(manifest["answers"])}
-    return status | ({"why": why} if why else {})
+        return "was told the labels"
+    if manifest["root"] not in before:
+        return "the set had been opened before these answers were sealed"
+    if len(set(before)) > 1:
+        return "answered more than once before the opening"
+    if known is not None and frozen and manifest["commit"] != frozen:
+        return f"answered by commit {manifest['commit'][:12]}, not by the frozen {frozen[:12]}"
+    return ""
 
 
 def opened_labels(folder: Folder) -> dict[str, dict]:
     """Labels of a set that was opened, by case. Raises ValueError where it was not, or where a label is not what was published."""
-    published, file = folder.published(), labels_file(folder)
-    if not file.exists() or not any(e["event"] == "opened" for e in folder.ledger.read()):
+    published = folder.published()
+    if not any(e["event"] == "opened" for e in folder.history()) or not folder.labels.exists():
         raise ValueError(f"{folder.root}: is still sealed; once all have answered, twinbench challenge open {folder.root} opens it")
-    found = read_json(file)
-    for name, hashes in published["cases"].items():
-        one = found.get(name, {})
-        if sealed(one.get("label", {}), one.get("salt", "")) != hashes["label"]:
-            raise ValueError(f"{file}: the label of {name} is not what was published: its hash differs from that in manifest.json")
-    return {name: found[name]["label"] for name in published["cases"]}
+    found = read_json(folder.labels)
+    found = found if isinstance(found, dict) else {}
+    return {
+        name: checked_label(found.get(name), hashes["label"], f"{folder.labels}: the label of {name}")["label"]
+        for name, hashes in published["cases"].items()
+    }

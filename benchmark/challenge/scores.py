@@ -266,7 +266,7 @@ def _covered(row):
     true = row.true_amplitude(part)[0]
     if len(inner) != 1 or not inner[0]:
         return None
-    low, high = inner[0]
+    low, high = (unbounded if end is None else end for end, unbounded in zip(inner[0], (-np.inf, np.inf), strict=True))
     return float(low <= true <= high or low <= -true <= high)  # late hands count as negative
 
 

@@ -5,25 +5,28 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
 
-from ...datasets.concealed.make import Folder
+from ...datasets.concealed.folder import Folder
 from ...datasets.concealed.seal import write_json
 from ..cache import replacing
+from .book import entrants_of
 from .grids import Grid, grids
-from .opening import answered, checked_answers, opened_labels, standing
-from .rivals.base import FAILED
+from .history import History
+from .opening import judged, opened_labels
+from .schema import FAILED
 from .scores import Figure, figures, with_floors
 from .statistics import mcnemar
 from .truths import Row
 
 __all__ = ["Scored", "markdown", "score_set", "terminal", "write_scores"]
 
-JUDGE = "diagnosis"  # whose controls say what a twin of a sound body is off by, for all rivals alike
+JUDGE = "diagnosis"  # whose controls say what a twin of a sound body is off by, for all entrants alike
 CEILING = "oracle"
+SHOWN = 5  # failed answers of an entrant whose reasons are printed
 # figures of everybody's table, and what its columns are called
 COMPARED = {
     "false alarms": "alarms",
@@ -43,42 +46,48 @@ Scored = Mapping[str, tuple[dict, list[Row], list[Figure]]]
 
 
 def score_set(root: str | Path) -> Scored:
-    """By rival: its standing (confirmatory or exploratory, and why), a row for every case, its figures.
+    """By entrant: its standing (see ``judged``), a row for every case, its figures; neither where its answers are gone or not trusted.
 
-    Labels and answers are checked once more. A case without an answer counts as one that refused. Raises ValueError where the set is still
-    sealed, nothing was answered, or anything is not what was published.
+    Labels and answers are checked once more. A case without an answer, or with one that is not what was sealed or says nothing sensible,
+    counts as one that refused. Raises ValueError where the set is still sealed or not what was published, or nothing was answered.
     """
     folder = Folder(Path(root))
     labels = opened_labels(folder)
-    checked = {rival: checked_answers(folder, rival) for rival in answered(folder)}
-    if not checked:
+    found = {name: judged(folder, name) for name in entrants_of(folder)}
+    if not found:
         raise ValueError(f"{folder.root}: nobody has answered; twinbench challenge answer {folder.root}")
-    told = checked.get(CEILING, ({}, {}))[1]
+    said = {name: {case: one.plain() for case, one in answers.items()} for name, (_, answers) in found.items() if answers is not None}
+    told = said.get(CEILING, {})
 
     def rows(answers):
         return [Row(name, label, answers.get(name, FAILED), told.get(name)) for name, label in labels.items()]
 
-    judge = rows(checked[JUDGE if JUDGE in checked else next(iter(checked))][1])
+    judge = rows(said.get(JUDGE, {}))
     scored = {}
-    for rival, (manifest, answers) in checked.items():
-        own = with_floors(rows(answers), judge)
-        scored[rival] = standing(folder, rival, manifest), own, figures(own)
+    for name, (status, _) in found.items():
+        own = with_floors(rows(said[name]), judge) if name in said else []
+        scored[name] = status, own, figures(own) if own else []
     return scored
 
 
 def compared(scored: Scored) -> Grid:
-    """Everybody's main figures; and how likely a difference in right names from the first rival is by chance (McNemar)."""
-    first = next(iter(scored))
+    """Everybody's main figures; and how likely a difference in right names from the first entrant is by chance (McNemar)."""
+    first = _first(scored)
 
-    def right(rival):
-        return [r.first for r in scored[rival][1] if r.kind == "effect"]
+    def right(entrant):
+        return [r.first for r in scored[entrant][1] if r.kind == "effect"]
 
     rows = []
-    for rival, (status, _, found) in scored.items():
+    for entrant, (status, _, found) in scored.items():
         by_name = {f.name: f for f in found}
-        differs = "-" if rival == first else f"{mcnemar(right(first), right(rival)):.3f}"
-        rows.append((rival, *(_value(by_name[name]) for name in COMPARED), differs, status["status"]))
-    return Grid("Everybody", ("rival", *COMPARED.values(), "p", "status"), tuple(rows))
+        differs = "-" if entrant == first or not found else f"{mcnemar(right(first), right(entrant)):.3f}"
+        rows.append((entrant, *(_value(by_name[name]) if found else "-" for name in COMPARED), differs, status["status"]))
+    return Grid("Everybody", ("entrant", *COMPARED.values(), "p", "status"), tuple(rows))
+
+
+def _first(scored):
+    """The first whose answers can be scored; the first where none can."""
+    return next((name for name, (_, rows, _) in scored.items() if rows), next(iter(scored)))
 
 
 def story(found: Sequence[Figure], name: str) -> Grid:
@@ -112,58 +121,63 @@ def _shown(unit):
 
 def tables(scored: Scored) -> list[Grid]:
     """Everybody, then the first answerer at length."""
-    first = next(iter(scored))
+    first = _first(scored)
     _, rows, found = scored[first]
     return [compared(scored), story(found, first), *grids(rows)]
 
 
-def terminal(scored: Scored) -> str:
-    """The tables as aligned text."""
+def terminal(scored: Scored, found: History) -> str:
+    """The tables as aligned text, with what was ``found`` in the ledger."""
     parts = []
     for grid in tables(scored):
         widths = [max(map(len, column)) for column in zip(grid.header, *grid.rows, strict=True)]
         lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (grid.header, *grid.rows)]
         rule = "-" * max(map(len, lines))
         parts.append("\n".join([grid.title, rule, lines[0], rule, *lines[1:], rule]))
-    return "\n\n".join([*parts, *_standings(scored)])
+    return "\n\n".join([*parts, *_standings(scored, found)])
 
 
-def markdown(scored: Scored) -> str:
-    """The tables in Markdown."""
+def markdown(scored: Scored, found: History) -> str:
+    """The tables in Markdown, with what was ``found`` in the ledger."""
     parts = []
     for grid in tables(scored):
         head = [grid.header, ("---",) * len(grid.header)]
         parts.append("\n".join([f"## {grid.title}", "", *("| " + " | ".join(row) + " |" for row in (*head, *grid.rows))]))
-    return "\n\n".join([*parts, "\n".join(f"- {line}" for line in _standings(scored))]) + "\n"
+    return "\n\n".join([*parts, "\n".join(f"- {line}" for line in _standings(scored, found))]) + "\n"
 
 
-def _standings(scored):
-    return [
-        f"{rival}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else "")
-        for rival, (status, _, _) in scored.items()
-    ]
+def _standings(scored, found):
+    lines = []
+    for entrant, (status, rows, _) in scored.items():
+        lines.append(f"{entrant}: {status['status']}, {status['answers']} answers" + (f" ({status['why']})" if "why" in status else ""))
+        failed = [f"{r.name}: {r.answer['error']}" for r in rows if r.answer.get("error")]
+        lines += [f"{entrant}: failed {one}" for one in failed[:SHOWN]]
+        lines += [f"{entrant}: failed in {len(failed) - SHOWN} cases more, see score.json"] if len(failed) > SHOWN else []
+    return [*lines, *(f"ledger: {note}" for note in found.notes), f"ledger: {found.entries} entries, head {found.head}"]
 
 
-def write_scores(scored: Scored, out: str | Path) -> list[Path]:
-    """Write ``score.md``, ``score.csv`` (a line for every figure of every rival) and ``score.json``, each in one rename."""
+def write_scores(scored: Scored, found: History, out: str | Path) -> list[Path]:
+    """Write ``score.md``, ``score.csv`` (a line for every figure of every entrant) and ``score.json``, each in one rename."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
-    lines = [{"rival": rival, "status": status["status"], **_plain(f)} for rival, (status, _, found) in scored.items() for f in found]
-    writer = csv.DictWriter(text, list(lines[0]), lineterminator="\n")
+    lines = [{"entrant": entrant, "status": status["status"], **_plain(f)} for entrant, (status, _, own) in scored.items() for f in own]
+    columns = ["entrant", "status", *(f.name for f in fields(Figure)), "reached"]
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(lines)
-    for name, content in (("score.md", markdown(scored)), ("score.csv", text.getvalue())):
+    for name, content in (("score.md", markdown(scored, found)), ("score.csv", text.getvalue())):
         with replacing(out / name) as temporary:
             temporary.write_text(content, encoding="utf-8")
-    rivals = {rival: {"standing": status, "figures": [_plain(f) for f in found]} for rival, (status, _, found) in scored.items()}
+    entrants = {entrant: {"standing": status, "figures": [_plain(f) for f in own]} for entrant, (status, _, own) in scored.items()}
     cases = [
-        {"case": r.name, "rival": rival, "kind": r.kind, "truth": r.truth, "said": r.said, "verdict": r.verdict}
-        | {"right": r.first, "size": _finite(r.ratio)}
-        for rival, (_, rows, _) in scored.items()
+        {"case": r.name, "entrant": entrant, "kind": r.kind, "truth": r.truth, "said": r.said, "verdict": r.verdict}
+        | {"right": r.first, "size": _finite(r.ratio), "error": r.answer.get("error")}
+        for entrant, (_, rows, _) in scored.items()
         for r in rows
     ]
-    write_json(out / "score.json", {"rivals": rivals, "cases": cases, "tables": [asdict(g) for g in tables(scored)]})
+    whole = {"ledger": asdict(found), "entrants": entrants, "cases": cases, "tables": [asdict(g) for g in tables(scored)]}
+    write_json(out / "score.json", whole)
     return [out / "score.md", out / "score.csv", out / "score.json"]
 
 

@@ -11,7 +11,7 @@ from ...datasets.concealed.engine import FPS
 from ...datasets.synthetic.simulate import GRAVITY
 from ...diagnosis.hypotheses import catalogue
 from ...diagnosis.verdict import NONE, OTHER
-from .rivals.base import NAMED
+from .schema import NAMED
 
 __all__ = ["Row", "amplitude", "physical"]
 

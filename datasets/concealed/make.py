@@ -6,66 +6,40 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
+from concurrent.futures import as_completed
+from dataclasses import asdict, replace
 from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
 
 from ..phystwin import write_case
+from ..pool import Pool
 from .bodies import BODIES
 from .case import CLEAR, Case, build
 from .effects import EFFECTS, OUTSIDE
-from .engines import ENGINES, able, engine
+from .engines import ENGINES, able, require
+from .folder import Folder
 from .plan import Entry, Preset, entropy, plan
-from .seal import Ledger, digest, folder_digest, read_json, salt_of, sealed, write_json
+from .seal import digest, folder_digest, read_json, salt_of, sealed, write_json
 
-__all__ = ["Folder", "make", "write_pair"]
+__all__ = ["make", "write_pair"]
 
 TRIES = 2  # bodies in turn in which a size is looked for, and as many again in which any clear size will do
 WHEN = 1e9  # of all files [s since 1970]: when something was written says how long it took
 
 
-@dataclass(frozen=True)
-class Folder:
-    """Where the parts of a sealed set are."""
-
-    root: Path
-
-    @property
-    def cases(self) -> Path:
-        return self.root / "cases"
-
-    @property
-    def manifest(self) -> Path:
-        return self.root / "manifest.json"
-
-    @property
-    def kept(self) -> Path:
-        """What is kept back until the set is opened: a file for every label with its salt, and the plan with the seed."""
-        return self.root / "sealed"
-
-    @property
-    def ledger(self) -> Ledger:
-        return Ledger(self.root / "ledger.jsonl")
-
-    def published(self) -> dict:
-        """The manifest. Raises ValueError where it is missing or was changed."""
-        if not self.manifest.is_file():
-            raise ValueError(f"{self.root}: no manifest.json here; write a sealed set with twinbench challenge make --out {self.root}")
-        found = read_json(self.manifest)
-        if not isinstance(found, dict) or digest({k: v for k, v in found.items() if k != "root"}) != found.get("root"):
-            raise ValueError(f"{self.manifest}: was changed after it was written: its root is not the hash of the rest")
-        return found
-
-
 def write_pair(case: Case, folder: Path, index: int) -> None:
-    """Write both recordings of a case below ``folder``; nothing in them says what they are but that they belong together."""
+    """Write both recordings of a case as ``folder``; nothing in them says what they are but that they belong together.
+
+    What a killed run left there goes, and what it left half-written beside them too.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
     for part in ("fit", "transfer"):
         about = {"object": f"object_{index:03d}", "session": f"{folder.name}_{part}"}
-        write_case(folder / part, replace(getattr(case, part), **about), overwrite=True)
+        write_case(folder / part, replace(getattr(case, part), **about))
     for path in [*folder.rglob("*"), folder]:
         os.utime(path, (WHEN, WHEN))
 
@@ -84,21 +58,25 @@ def make(
 
     The same preset, seed and engines give the same set. ``origin`` says publicly where the seed is from (commit and beacon). The manifest
     has the hash of every case's recordings, the salted hash of every label, and ``root``, the hash of all that.
-    Raises ValueError for an unknown preset or engine, or where another set is in the folder.
+    Raises ValueError for an unknown preset or engine, or where another set is in the folder; ImportError where engines are not installed.
     """
     folder = Folder(Path(out))
-    for name in engines:
-        engine(name)
+    require(engines)
     entries = plan(preset, seed, engines=engines)
     ours = {"seed": seed, "plan": [{**asdict(e), "clear": list(e.clear)} for e in entries]}
     file = folder.kept / "plan.json"
     if file.exists() and read_json(file) != ours:
         raise ValueError(f"{folder.root}: holds a sealed set of another seed or plan; choose another folder")
     if folder.manifest.exists():
-        return folder.published()
+        manifest = folder.published()
+        if not file.exists():
+            raise ValueError(f"{folder.root}: the set is made, and {folder.kept} is with its keeper; choose another folder")
+        if not folder.ledger.read():  # killed between the last two lines
+            folder.ledger.append("made", root=manifest["root"], cases=len(manifest["cases"]))
+        return manifest
     write_json(file, ours)
     todo = {f"case_{k:03d}": (k, entry) for k, entry in enumerate(entries) if not _there(folder, f"case_{k:03d}")}
-    with ProcessPoolExecutor(jobs) as pool:
+    with Pool(jobs) as pool:
         running = [pool.submit(_one, folder, name, k, entry, seed, tuple(engines)) for name, (k, entry) in todo.items()]
         for done, future in enumerate(as_completed(running), 1):
             progress(f"{done} of {len(todo)}: {future.result()}")

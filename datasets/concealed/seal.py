@@ -1,4 +1,4 @@
-"""Commit and reveal: hashes that are published before anything is answered, and a ledger of what was done with a sealed set.
+"""Commit and reveal: hashes that are published before anything is answered, and the files of a sealed set, read as if from a stranger.
 
 A label's hash is SHA-256(salt, label): without the salt nobody can try labels until one fits, and with it nobody can exchange the label.
 """
@@ -8,14 +8,20 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
+import re
+import stat
 from collections.abc import Mapping
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
-__all__ = ["Ledger", "digest", "folder_digest", "read_json", "salt_of", "sealed", "seed_of", "write_json"]
+__all__ = [
+    *("HASH", "NAME", "content", "digest", "file_digest", "folder_digest", "named", "parsed", "read_json", "salt_of", "sealed", "seed_of"),
+    "write_json",
+]
 
-GENESIS = "0" * 64
+NAME = re.compile("[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")  # of cases and entrants: one part of a path everywhere, and plain in any table
+HASH = re.compile("[0-9a-f]{64}")
+LARGEST = 64 << 20  # bytes of a file that is read at once: the labels of 260 cases are 1 MB
+DEEPEST = 32  # levels of JSON: a diagnosis has 7
 
 
 def canonical(value) -> bytes:
@@ -34,10 +40,18 @@ def file_digest(file: Path) -> str:
 
 
 def folder_digest(folder: str | Path) -> str:
-    """SHA-256 of the names and the contents of all files below ``folder``. Raises ValueError where there are none."""
-    files = {f.relative_to(folder).as_posix(): file_digest(f) for f in sorted(Path(folder).rglob("*")) if f.is_file()}
-    if not files:
-        raise ValueError(f"{folder}: no files here")
+    """SHA-256 of the names and the contents of all files below ``folder``.
+
+    Raises ValueError where there are none, or where there is what has no content of its own: a link, a device, an empty folder.
+    """
+    folder, files = Path(folder), {}
+    for path in (folder, *sorted(folder.rglob("*"))):
+        if path.is_symlink() or not (path.is_file() or path.is_dir() or not path.exists()):
+            raise ValueError(f"{path}: is a link or a device; a case has plain files and folders only")
+        if path.is_file():
+            files[path.relative_to(folder).as_posix()] = file_digest(path)
+        elif not path.exists() or not any(path.iterdir()):
+            raise ValueError(f"{path}: no files here")
     return digest(files)
 
 
@@ -61,12 +75,65 @@ def sealed(label: Mapping, salt: str) -> str:
     return hashlib.sha256(salt.encode() + b"\n" + canonical(label)).hexdigest()
 
 
-def read_json(file: str | Path):
-    """What a JSON file holds. Raises ValueError naming the file where it is missing or damaged."""
+def named(kind: str, name: str) -> str:
+    """``name``, where it can be the name of a ``kind``. Raises ValueError where it could lead elsewhere, or look like another."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        rule = "be 1 to 64 of A-Z a-z 0-9 _ . - and not begin with a dot or a dash"
+        raise ValueError(f"the name of {kind} must {rule}, got {_short(name)}")
+    return name
+
+
+def content(file: str | Path, most: int = LARGEST) -> bytes:
+    """The bytes of a plain file of at most ``most`` bytes. Raises ValueError naming the file."""
     try:
-        return json.loads(Path(file).read_text(encoding="utf-8"))
+        about = Path(file).stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise ValueError(f"{file}: is no plain file")
+        if about.st_size > most:
+            raise ValueError(f"{file}: must have at most {most} bytes, got {about.st_size}")
+        return Path(file).read_bytes()
     except OSError as error:
         raise ValueError(f"{file}: {error.strerror}") from None
+
+
+def parsed(text: bytes):
+    """What strict JSON says: UTF-8, finite numbers, no name twice in an object, at most ``DEEPEST`` levels. Raises ValueError."""
+    try:
+        value = json.loads(text.decode("utf-8"), parse_constant=_no_number, object_pairs_hook=_once)
+    except RecursionError:
+        raise ValueError(f"more than {DEEPEST} levels") from None
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [one for held in level if isinstance(held, (dict, list)) for one in (held.values() if isinstance(held, dict) else held)]
+    if level:
+        raise ValueError(f"more than {DEEPEST} levels")
+    canonical(value)  # 1e999 is infinite, and half of a surrogate pair is no text
+    return value
+
+
+def _no_number(text):
+    raise ValueError(f"{text} is no number")
+
+
+def _once(pairs):
+    found = {}
+    for name, value in pairs:
+        if name in found:
+            raise ValueError(f"{_short(name)} stands in one object twice")
+        found[name] = value
+    return found
+
+
+def _short(value, most=60):
+    text = repr(value)
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+def read_json(file: str | Path, most: int = LARGEST):
+    """What a JSON file holds, see ``parsed``. Raises ValueError naming the file where it is missing, damaged or too large."""
+    text = content(file, most)
+    try:
+        return parsed(text)
     except ValueError as error:
         raise ValueError(f"{file}: is no JSON ({error})") from None
 
@@ -76,45 +143,7 @@ def write_json(file: str | Path, value) -> None:
     file = Path(file)
     file.parent.mkdir(parents=True, exist_ok=True)
     temporary = file.with_name(f".{file.name}.partial")
-    temporary.write_text(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    temporary.unlink(missing_ok=True)  # what a killed run left, and no link to elsewhere
+    with temporary.open("x", encoding="utf-8") as stream:
+        stream.write(json.dumps(value, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     temporary.replace(file)
-
-
-@dataclass(frozen=True)
-class Ledger:
-    """A file of JSON lines to which is only added. Every line holds the hash of the line before it, so that none can be changed or left out
-    without all later hashes changing; whoever knows the last one (``head``) can tell.
-    """
-
-    file: Path
-
-    def read(self) -> list[dict]:
-        """All entries, oldest first. Raises ValueError naming the line at which the chain is broken."""
-        if not Path(self.file).exists():
-            return []
-        entries, before = [], GENESIS
-        for number, line in enumerate(Path(self.file).read_text(encoding="utf-8").splitlines(), 1):
-            try:
-                entry = json.loads(line)
-                told = entry.pop("hash")
-            except (ValueError, KeyError, AttributeError):
-                raise ValueError(f"{self.file}: line {number} is no entry of a ledger") from None
-            if entry.get("before") != before or digest(entry) != told:
-                raise ValueError(f"{self.file}: line {number} was changed, or a line before it is missing: the chain of hashes is broken")
-            entries.append(entry | {"hash": told})
-            before = told
-        return entries
-
-    @property
-    def head(self) -> str:
-        """The hash of the last entry: what is to be published beside what it says."""
-        return ([{"hash": GENESIS}] + self.read())[-1]["hash"]
-
-    def append(self, event: str, **about) -> dict:
-        """Add an entry and return it. Raises ValueError where the chain is broken already."""
-        entry = {"event": event, "time": datetime.now(UTC).isoformat(timespec="seconds"), **about, "before": self.head}
-        entry |= {"hash": digest(entry)}
-        Path(self.file).parent.mkdir(parents=True, exist_ok=True)
-        with Path(self.file).open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(entry, ensure_ascii=False, allow_nan=False) + "\n")
-        return entry

@@ -11,14 +11,14 @@ from ....diagnosis.hypotheses import Hypothesis
 from ....diagnosis.inquiry import PRESETS
 from ....diagnosis.refit import evaluate, refit
 from ....diagnosis.screen import screen
-from .base import Rival, answer, mean_of, tasks
+from .base import Entrant, answer, mean_of, tasks
 
-__all__ = ["RIVAL", "Oracle"]
+__all__ = ["ENTRANT", "Oracle"]
 
 TRIED = 3  # hypotheses of the true effect that are refitted, those that explain most in the linear neighbourhood
 
 
-class Oracle(Rival):
+class Oracle(Entrant):
     """The true effect's terms at the true place, refitted with the budget of every refit; of several the one that fits best.
 
     Of two effects the second is added to the twin with the first. What has no term in the twin is named, and closes nothing.
@@ -89,4 +89,4 @@ def _amplitudes(found, hypothesis):
     return {k.name: {"value": found.values[k.name], "unit": units[k.name]} for k in hypothesis.knobs}
 
 
-RIVAL = Oracle()
+ENTRANT = Oracle()

@@ -1,13 +1,13 @@
 """A force without a name is learned; where it helps, something is missing."""
 
-from .base import Rival, answer, mean_of
+from .base import Entrant, answer, mean_of
 
-__all__ = ["RIVAL", "LearnedResidual"]
+__all__ = ["ENTRANT", "LearnedResidual"]
 
 WORTH = 0.1  # share of the squared error on what was not fitted that it must remove
 
 
-class LearnedResidual(Rival):
+class LearnedResidual(Entrant):
     """A force field linear in place and velocity, fitted with the twin's own numbers at equal budget.
 
     It says "unknown" where that helps on what was not fitted, else "adequate".
@@ -23,4 +23,4 @@ class LearnedResidual(Rival):
         return answer("unknown" if min(held) > WORTH else "adequate", fit=fit)
 
 
-RIVAL = LearnedResidual()
+ENTRANT = LearnedResidual()

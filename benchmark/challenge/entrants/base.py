@@ -1,4 +1,4 @@
-"""What a rival is given, and what it must say."""
+"""What an entrant is given, and what it must say."""
 
 from __future__ import annotations
 
@@ -11,25 +11,19 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from ....datasets.scenario import Scenario
-from ....diagnosis.diagnose import NAMES
 from ....diagnosis.verdict import MEASUREMENT, NONE, OTHER
+from ..schema import one_hot
 
 if TYPE_CHECKING:
     from ....diagnosis.diagnose import Diagnosis
     from ....diagnosis.fit import Task
     from ....diagnosis.inquiry import Inquiry
 
-__all__ = ["FAILED", "Given", "Rival", "answer", "mean_of", "one_hot", "parts_of", "sensible", "tasks"]
-
-FAILED = {"verdict": "failed", "effect": None, "alternatives": [], "probabilities": {}}  # what counts where there is no answer
-VERDICTS = ("adequate", "missing", "ambiguous", "unknown", "measurement", "cannot_tell")
-NAMED = ("missing", "measurement", "ambiguous")  # verdicts that come with a name
-CONFIDENT = 0.9  # probability of what a rival says that has no probabilities of its own
-
+__all__ = ["Entrant", "Given", "answer", "mean_of", "one_hot", "parts_of", "tasks"]
 
 @dataclass
 class Given:
-    """A case as all rivals get it: two recordings of one object, no label.
+    """A case as all entrants get it: two recordings of one object, no label.
 
     The diagnosis is worked out once, when it is first asked for, and shared by all that build on it.
     """
@@ -63,7 +57,7 @@ class Given:
         return inquire(self.fit, [self.transfer], train_end=self.fit.split.train_end, preset=preset, device=self.device)
 
 
-class Rival(ABC):
+class Entrant(ABC):
     """One way to answer a case.
 
     name     by which it is chosen
@@ -84,12 +78,6 @@ class Rival(ABC):
         raise NotImplementedError(f"{self.name} answers case by case")
 
 
-def one_hot(name: str, confidence: float = CONFIDENT) -> dict[str, float]:
-    """Probabilities of who is sure of ``name``; what is left is shared by "adequate" and "unknown"."""
-    rest = {n: (1 - confidence) / (1 if name in (NONE, OTHER) else 2) for n in (NONE, OTHER) if n != name}
-    return {name: confidence, **rest}
-
-
 def answer(verdict: str, effect: str | None = None, *, probabilities: Mapping[str, float] | None = None, **about) -> dict:
     """An answer with everything that is not said empty. ``verdict`` "named" becomes "missing" or "measurement", as the effect is."""
     if verdict == "named":
@@ -103,27 +91,6 @@ def answer(verdict: str, effect: str | None = None, *, probabilities: Mapping[st
 def parts_of(inquiry: Inquiry) -> dict[str, list[str]]:
     """Names of the parts of an inquiry, by what they are called in an answer."""
     return {"train": ["train"], "heldout": ["heldout"], "transfer": inquiry.transferred}
-
-
-def sensible(said, file) -> dict:
-    """An answer that was read from ``file``, what it leaves out empty. Raises ValueError naming the file and what is wrong."""
-    if not isinstance(said, dict):
-        raise ValueError(f"{file}: an answer must be an object, got {type(said).__name__}")
-    verdict, effect, chances = said.get("verdict"), said.get("effect"), said.get("probabilities")
-    if verdict not in VERDICTS:
-        raise ValueError(f"{file}: verdict must be one of {', '.join(VERDICTS)}, got {verdict!r}")
-    if verdict in NAMED and effect not in NAMES:
-        raise ValueError(f"{file}: a name must be one of {', '.join(NAMES)}, got {effect!r}")
-    if verdict not in NAMED and effect is not None:
-        raise ValueError(f"{file}: effect must be null where the verdict names nothing, got {effect!r}")
-    if chances is not None and not abs(sum(chances.values()) - 1) < 0.01:
-        raise ValueError(f"{file}: probabilities must sum to 1, got {sum(chances.values()):g}")
-    for key, needed in (("where", {"points", "centroid", "radius"}), ("when", {"frames"})):
-        if said.get(key) is not None and not (isinstance(said[key], dict) and needed <= set(said[key])):
-            raise ValueError(f"{file}: {key} must be null or have {', '.join(sorted(needed))}, got {said[key]!r}")
-    if not all(isinstance(p, dict) and "value" in p for p in (said.get("parameters") or {}).values()):
-        raise ValueError(f"{file}: every one of the parameters must have a value")
-    return answer(verdict, effect, probabilities=chances) | {k: v for k, v in said.items() if v is not None}
 
 
 def tasks(inquiry: Inquiry) -> tuple[Task, Task]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Rival, answer, mean_of, one_hot
+from .base import Entrant, answer, mean_of, one_hot
 
-__all__ = ["RIVAL", "Sindy", "columns", "derivatives"]
+__all__ = ["ENTRANT", "Sindy", "columns", "derivatives"]
 
 WINDOW, ORDER = 9, 3  # frames and degree of the polynomials that smooth a track (Savitzky and Golay 1964)
 WORTH = 0.05  # share of the squared acceleration on what was not fitted that a law must explain in addition
@@ -14,7 +14,7 @@ NEAR = 0.02  # m above the ground in which contact acts
 RIDGE = 1e-3  # on columns of unit length
 
 
-class Sindy(Rival):
+class Sindy(Entrant):
     """SINDy (Brunton et al. 2016) with laws for groups: the twin's own are always in, and that law is named which, added to them, explains
     most of the accelerations of held-out frames and of the transfer recording, if that is something in both.
     """
@@ -147,4 +147,4 @@ def _left(fitted, held, laws):
     return float(np.square(y - m @ coefficients).sum())
 
 
-RIVAL = Sindy()
+ENTRANT = Sindy()

@@ -1,4 +1,4 @@
-"""Rivals of the diagnosis on a sheet of 20 points whose missing physics is known; and what each of them is, against closed forms."""
+"""Entrants of the diagnosis on a sheet of 20 points whose missing physics is known; and what each of them is, against closed forms."""
 
 import json
 import math
@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from twinbench.benchmark.challenge.answering import answer_case
-from twinbench.benchmark.challenge.rivals import rivals
-from twinbench.benchmark.challenge.rivals.base import Given, answer, one_hot
-from twinbench.benchmark.challenge.rivals.sindy import derivatives
-from twinbench.benchmark.challenge.rivals.virtual_force import group_lasso
+from twinbench.benchmark.challenge.entrants import entrants
+from twinbench.benchmark.challenge.entrants.base import Given, answer
+from twinbench.benchmark.challenge.entrants.sindy import derivatives
+from twinbench.benchmark.challenge.entrants.virtual_force import group_lasso
+from twinbench.benchmark.challenge.schema import one_hot
 from twinbench.datasets.phystwin import write_case
 from twinbench.diagnosis.diagnose import NAMES
 from twinbench.diagnosis.verdict import NONE, OTHER
@@ -18,7 +19,7 @@ from twinbench.physics.terms.gravity_tilt import GravityTilt
 
 FRAMES, TRAIN = 36, 24
 LABEL = {"kind": "effect", "effect": "gravity_tilt", "parameters": {}, "place": [None, None], "onset": [0, 0]}
-PER_CASE = [name for name, rival in rivals().items() if not rival.derived]
+PER_CASE = [name for name, entrant in entrants().items() if not entrant.derived]
 
 
 pytestmark = pytest.mark.usefixtures("quick")
@@ -35,15 +36,15 @@ def given(tiny, quick):
 def answered(given):
     told = replace(given, label=LABEL)
     vars(told)["diagnosis"] = given.diagnosis  # worked out once
-    return {name: rivals()[name].answer(told if rivals()[name].told else given) for name in PER_CASE}
+    return {name: entrants()[name].answer(told if entrants()[name].told else given) for name in PER_CASE}
 
 
 def test_everybody_is_found_and_has_a_sentence():
-    assert next(iter(rivals())) == "diagnosis"
-    assert {"baseline", "nearest_signature", "last_residual", "more_nuisances", "permuted", "oracle"} <= set(rivals())
-    for name, rival in rivals().items():
-        assert rival.name == name and rival.__doc__.strip()
-    assert [name for name, rival in rivals().items() if rival.told] == ["oracle"]
+    assert next(iter(entrants())) == "diagnosis"
+    assert {"baseline", "nearest_signature", "last_residual", "more_nuisances", "permuted", "oracle"} <= set(entrants())
+    for name, entrant in entrants().items():
+        assert entrant.name == name and entrant.__doc__.strip()
+    assert [name for name, entrant in entrants().items() if entrant.told] == ["oracle"]
 
 
 @pytest.mark.parametrize("name", PER_CASE)
@@ -73,7 +74,7 @@ def test_the_oracle_names_what_it_was_told_and_gains_by_it(answered):
 
 def test_the_oracle_needs_no_refits_of_the_diagnosis(given, answered):
     alone = Given(given.fit, given.transfer, label=LABEL)
-    assert rivals()["oracle"].answer(alone) == answered["oracle"]
+    assert entrants()["oracle"].answer(alone) == answered["oracle"]
     assert "diagnosis" not in vars(alone)
 
 
@@ -81,7 +82,7 @@ def test_the_oracle_needs_no_refits_of_the_diagnosis(given, answered):
 def test_the_oracle_says_what_there_is(given, kind, verdict):
     told = replace(given, label={"kind": kind, "effect": None})
     vars(told)["diagnosis"] = given.diagnosis
-    assert rivals()["oracle"].answer(told)["verdict"] == verdict
+    assert entrants()["oracle"].answer(told)["verdict"] == verdict
 
 
 def test_baselines_name_nothing_and_more_numbers_fit_better(answered):
@@ -101,11 +102,11 @@ def test_permuted_answers_are_those_of_other_cases():
     answers = {
         f"case_{k}": answer("named", name, fit={"transfer": {"baseline": float(k), "extended": 0.0}}) for k, name in enumerate(NAMES)
     }
-    dealt = rivals()["permuted"].derive(answers, "root")
+    dealt = entrants()["permuted"].derive(answers, "root")
     assert sorted(a["effect"] for a in dealt.values()) == sorted(NAMES)
     assert sum(dealt[n]["effect"] == answers[n]["effect"] for n in answers) <= 4  # one on average, and hardly ever five
     assert all(dealt[n]["fit"]["transfer"] == {"baseline": answers[n]["fit"]["transfer"]["baseline"], "extended": None} for n in answers)
-    assert dealt == rivals()["permuted"].derive(answers, "root") != rivals()["permuted"].derive(answers, "other")
+    assert dealt == entrants()["permuted"].derive(answers, "root") != entrants()["permuted"].derive(answers, "other")
 
 
 def test_group_lasso_is_the_minimiser():

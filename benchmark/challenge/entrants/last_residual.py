@@ -1,11 +1,11 @@
 """The twin's last error is carried forward: no physics, and hard to beat for a while."""
 
-from .base import Rival, answer
+from .base import Entrant, answer
 
-__all__ = ["RIVAL", "LastResidual"]
+__all__ = ["ENTRANT", "LastResidual"]
 
 
-class LastResidual(Rival):
+class LastResidual(Entrant):
     """The baseline shifted, node by node, by its last error on a training frame. It says nothing of another interaction, and no name."""
 
     name = "last_residual"
@@ -23,4 +23,4 @@ class LastResidual(Rival):
         return answer("adequate", fit=fit)
 
 
-RIVAL = LastResidual()
+ENTRANT = LastResidual()

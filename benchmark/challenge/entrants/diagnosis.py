@@ -1,12 +1,12 @@
 """The diagnosis itself."""
 
 from ....diagnosis.page.document import plain
-from .base import Rival
+from .base import Entrant
 
-__all__ = ["RIVAL", "Tool"]
+__all__ = ["ENTRANT", "Tool"]
 
 
-class Tool(Rival):
+class Tool(Entrant):
     """``twinbench diagnose``, as it ships."""
 
     name = "diagnosis"
@@ -15,4 +15,4 @@ class Tool(Rival):
         return plain(given.diagnosis.result)
 
 
-RIVAL = Tool()
+ENTRANT = Tool()

@@ -7,14 +7,14 @@ import numpy as np
 from ....diagnosis.fit import fit
 from ....diagnosis.inquiry import PRESETS
 from ....diagnosis.refit import evaluate
-from .base import Rival, answer, mean_of, tasks
+from .base import Entrant, answer, mean_of, tasks
 
-__all__ = ["RIVAL", "MoreNuisances"]
+__all__ = ["ENTRANT", "MoreNuisances"]
 
 STAGES = ("setup", "body")
 
 
-class MoreNuisances(Rival):
+class MoreNuisances(Entrant):
     """The baseline with every further number that has neither place nor shape: tilt, ground, delay, grips, rest shape, anisotropy, fitted
     together in as many steps. It always says that nothing is missing.
     """
@@ -37,4 +37,4 @@ class MoreNuisances(Rival):
         return answer("adequate", fit=mean_of(inquiry, inquiry.base, judged, given.diagnosis.result["evidence"]["noise_floor"]))
 
 
-RIVAL = MoreNuisances()
+ENTRANT = MoreNuisances()

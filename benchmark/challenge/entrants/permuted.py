@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Rival
+from .base import Entrant
 
-__all__ = ["RIVAL", "Permuted"]
+__all__ = ["ENTRANT", "Permuted"]
 
 
-class Permuted(Rival):
+class Permuted(Entrant):
     """The answers of the diagnosis, dealt out to the cases anew. Every case keeps its own twin's errors, with nothing gained."""
 
     name = "permuted"
@@ -28,4 +28,4 @@ def _unimproved(fit):
     return {part: one | {"extended": None} for part, one in fit.items()}
 
 
-RIVAL = Permuted()
+ENTRANT = Permuted()

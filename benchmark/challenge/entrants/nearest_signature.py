@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from .base import Rival, answer, mean_of, one_hot
+from .base import Entrant, answer, mean_of, one_hot
 
-__all__ = ["RIVAL", "NearestSignature"]
+__all__ = ["ENTRANT", "NearestSignature"]
 
 LEAST = 0.1  # share of the squared training error that the nearest must explain: less is explained by something on sound twins too
 
 
-class NearestSignature(Rival):
+class NearestSignature(Entrant):
     """The hypothesis whose unabsorbed effect explains most of the training innovations, in the linear neighbourhood of the baseline."""
 
     name = "nearest_signature"
@@ -54,4 +54,4 @@ def _parameters(score):
     }
 
 
-RIVAL = NearestSignature()
+ENTRANT = NearestSignature()

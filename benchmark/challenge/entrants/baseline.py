@@ -1,11 +1,11 @@
 """Nobody asks: the twin is refitted and that is it."""
 
-from .base import Rival, answer, mean_of
+from .base import Entrant, answer, mean_of
 
-__all__ = ["RIVAL", "Baseline"]
+__all__ = ["ENTRANT", "Baseline"]
 
 
-class Baseline(Rival):
+class Baseline(Entrant):
     """The twin of springs after as many steps as every refit had; it always says that nothing is missing."""
 
     name = "baseline"
@@ -15,4 +15,4 @@ class Baseline(Rival):
         return answer("adequate", fit=mean_of(inquiry, inquiry.base, inquiry.base, given.diagnosis.result["evidence"]["noise_floor"]))
 
 
-RIVAL = Baseline()
+ENTRANT = Baseline()

@@ -7,9 +7,9 @@ import numpy as np
 from ....diagnosis.inquiry import BANDWIDTH
 from ....diagnosis.locate import missing_acceleration
 from ....diagnosis.replica import spread_out
-from .base import Rival, answer, mean_of
+from .base import Entrant, answer, mean_of
 
-__all__ = ["RIVAL", "VirtualForce", "group_lasso"]
+__all__ = ["ENTRANT", "VirtualForce", "group_lasso"]
 
 PATCHES, WINDOW = 12, 8  # patches of a body, frames of a window
 STRICT = 3.0  # robust standard deviations above the median norm of a group below which it is put to nothing
@@ -27,7 +27,7 @@ def group_lasso(values: np.ndarray, weights: np.ndarray, penalty: float) -> np.n
     return np.maximum(0.0, 1 - penalty / np.maximum(norm, 1e-300))[:, None] * values
 
 
-class VirtualForce(Rival):
+class VirtualForce(Entrant):
     """What the observer had to push with, as one force for each patch and window, most of them nothing. A patch that needs one in both
     recordings is where something "unknown" acts; without such a patch the twin is adequate.
     """
@@ -80,4 +80,4 @@ def _forces(replica, watched, centres):
     return group_lasso(mean, count, penalty).reshape(windows[-1] + 1, len(centres), 3)
 
 
-RIVAL = VirtualForce()
+ENTRANT = VirtualForce()

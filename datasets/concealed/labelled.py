@@ -1,0 +1,113 @@
+"""What ``python -m twinbench.datasets.concealed --out DIR`` writes: pairs of recordings with something concealed in them; and labels."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from concurrent.futures import BrokenExecutor, as_completed
+from itertools import cycle, islice
+from pathlib import Path
+
+import numpy as np
+
+from ..pool import Pool
+from .case import CLEAR, CONTROLS, build
+from .effects import EFFECTS, OUTSIDE
+from .engines import ENGINES, require
+from .make import write_pair
+
+LABELS = "labels.json"
+
+
+def plan(
+    seed: int, effects: int, controls: int, outside: int, *, bodies=("cloth", "plush", "rope"), only=None
+) -> list[tuple[str, str, str]]:
+    """(kind, name, body) of every case, in the order of the cases: all names in turn, on all bodies in turn, then shuffled."""
+    rng = np.random.default_rng([seed, 0])
+    chosen = []
+    tables = (("effect", EFFECTS, effects), ("outside", OUTSIDE, outside), ("control", dict.fromkeys(CONTROLS), controls))
+    for kind, table, count in tables:
+        turns = {}
+        for name in islice(cycle([n for n in table if not only or kind != "effect" or n in only]), count):
+            able = [b for b in bodies if table[name] is None or b in table[name].bodies]
+            if able:
+                turns[name] = turns.get(name, int(rng.integers(len(able)))) + 1
+                chosen.append((kind, name, able[turns[name] % len(able)]))
+    return [chosen[i] for i in rng.permutation(len(chosen))]
+
+
+def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, clear: tuple[float, float], engine: str) -> dict:
+    """Build and write one case; its label."""
+    begun = time.time()
+    folder = out / f"case_{index:03d}"
+    case = build(kind, name, body, seed=int(np.random.default_rng([seed, 1, index]).integers(2**31)), clear=clear, engine=engine)
+    write_pair(case, folder, index)
+    return case.label | {"seconds": round(time.time() - begun, 1)}
+
+
+def main(arguments=None) -> int:
+    """Returns the exit code: 2 after one line on standard error where something is wrong, 130 where it was stopped."""
+    options = _options(arguments)
+    try:
+        require([options.engine])
+        _write(options)
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from here", file=sys.stderr)
+        return 130
+    except (ImportError, ValueError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
+def _options(arguments):
+    parser = argparse.ArgumentParser(prog="python -m twinbench.datasets.concealed", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for the cases and labels.json; cases that are there are kept")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--effects", type=int, default=40, help="how many cases with an effect")
+    parser.add_argument("--controls", type=int, default=12, help="how many with none")
+    parser.add_argument("--outside", type=int, default=6, help="how many with one that is in no catalogue")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--bodies", nargs="+", choices=("cloth", "plush", "rope"), default=("cloth", "plush", "rope"))
+    parser.add_argument("--only", nargs="+", choices=tuple(EFFECTS), help="effects to choose from")
+    parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
+    parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")
+    return parser.parse_args(arguments)
+
+
+def _write(options):
+    """Make the cases that are not there, and print a line for each."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    cases = plan(options.seed, options.effects, options.controls, options.outside, bodies=options.bodies, only=options.only)
+    file = options.out / LABELS
+    labels = json.loads(file.read_text()) if file.exists() else {}
+    wanted = {f"case_{i:03d}": (i, *case) for i, case in enumerate(cases)}
+    todo = {name: case for name, case in wanted.items() if name not in labels or not (options.out / name / "transfer").is_dir()}
+    with Pool(options.jobs) as pool:
+        running = {
+            pool.submit(make, options.out, *case, options.seed, tuple(options.clear), options.engine): name for name, case in todo.items()
+        }
+        for done, future in enumerate(as_completed(running), 1):
+            name = running[future]
+            try:
+                labels[name] = future.result()
+            except BrokenExecutor:
+                raise
+            except RuntimeError as reason:
+                print(f"{name}: {reason}", flush=True)
+                continue
+            temporary = file.with_suffix(".partial")
+            temporary.write_text(json.dumps(dict(sorted(labels.items())), indent=1))
+            temporary.rename(file)
+            print(f"{done}/{len(todo)} {row(name, labels[name])}", flush=True)
+    print("\n".join(row(name, label) for name, label in sorted(labels.items())))
+
+
+def row(name: str, label: dict) -> str:
+    """One line of the table."""
+    what = label["effect"] or f"nothing ({label['control']})"
+    moved, later, chaos = (1000 * label.get(key, 0) for key in ("displacement", "displacement_transfer", "chaos"))
+    where = f"{name}  {label['kind']:8} {what:28} {label['object']:6} {' > '.join(label['interactions']):24}"
+    return f"{where} {moved:5.1f} / {later:5.1f} mm, chaos {chaos:4.1f} mm  {label['seconds']:5.1f} s"
