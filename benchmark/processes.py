@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+
+from ..datasets.pool import Pool
 
 __all__ = ["cards", "cores", "end_children", "workers"]
 
@@ -36,26 +35,17 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-@contextmanager
-def workers(count: int, devices: Sequence[str] = ()) -> Iterator[ProcessPoolExecutor]:
+def workers(count: int, devices: Sequence[str] = ()) -> Pool:
     """A pool of ``count`` fresh processes; each takes the next of ``devices``, and the first again after the last, for its only card.
 
-    What a process runs may use as many threads as it has cores to itself. When the block ends by an error, what runs is finished and what
-    waits is dropped; when it is told to stop (KeyboardInterrupt and the like), the processes are ended at once.
+    What a process runs may use as many threads as it has cores to itself. How the pool ends: see ``datasets.pool``.
     """
-    context = multiprocessing.get_context("spawn")
-    turns = context.Queue() if devices else None
-    for k in range(count if devices else 0):
+    if not devices:
+        return _Pool(count)
+    turns = multiprocessing.get_context("spawn").Queue()
+    for k in range(count):
         turns.put(devices[k % len(devices)])
-    pool = _Pool(count, mp_context=context, initializer=_begin, initargs=(turns,))
-    try:
-        yield pool
-    except BaseException as error:
-        if not isinstance(error, Exception):
-            end_children()
-        pool.shutdown(cancel_futures=True)
-        raise
-    pool.shutdown()
+    return _Pool(count, _take, turns)
 
 
 def end_children() -> None:
@@ -64,25 +54,12 @@ def end_children() -> None:
         child.kill()
 
 
-class _Pool(ProcessPoolExecutor):
-    """A pool whose processes are started, when work is submitted, with signals held back and with their share of threads."""
+class _Pool(Pool):
+    """A pool whose processes are started, when work is submitted, with their share of threads."""
 
-    def submit(self, function, /, *arguments, **options):
-        with _held_back(), _share(self._max_workers):
-            return super().submit(function, *arguments, **options)
-
-
-@contextmanager
-def _held_back() -> Iterator[None]:
-    """Ctrl-C and SIGTERM wait until the end of the block; for processes that are started in it, which inherit this, for ever."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    def submit(self, *given, **named):
+        with _share(self._max_workers):
+            return super().submit(*given, **named)
 
 
 @contextmanager
@@ -102,13 +79,5 @@ def _share(count: int) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _begin(turns) -> None:
-    """In a new process: end with the one that started it, and take a card before anybody starts CUDA here."""
-    threading.Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
-    if turns is not None:
-        os.environ[VISIBLE] = turns.get()
-
-
-def _end_with(parent) -> None:
-    parent.join()
-    os._exit(1)
+def _take(turns) -> None:
+    os.environ[VISIBLE] = turns.get()  # before anybody starts CUDA here

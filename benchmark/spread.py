@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 from collections.abc import Sequence
 from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 
 from .cache import Cache
 from .opening import Opened, open_recordings
@@ -36,16 +35,12 @@ def spread(
     rows: dict[int, list[dict]] = {}
     progress("reading", 0.0)
     where = opened.path, opened.split, opened.collection.name
-    try:
-        with workers(min(jobs or len(devices), len(groups)), devices) as pool:
-            running = {pool.submit(_rows, where, settings, cache, [fits[k] for k in group]): group for group in groups}
-            for future in as_completed(running):
-                for k, (found, last) in zip(running[future], future.result(), strict=True):
-                    rows[k] = found
-                    progress(last, len(rows) / len(fits))
-    except BrokenProcessPool as error:
-        said = "one of the processes was ended from outside, most likely for want of memory; the same command goes on from here"
-        raise OSError(f"{said}, with fewer --jobs if need be") from error
+    with workers(min(jobs or len(devices), len(groups)), devices) as pool:
+        running = {pool.submit(_rows, where, settings, cache, [fits[k] for k in group]): group for group in groups}
+        for future in as_completed(running):
+            for k, (found, last) in zip(running[future], future.result(), strict=True):
+                rows[k] = found
+                progress(last, len(rows) / len(fits))
     return [row for k in range(len(fits)) for row in rows[k]]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -16,15 +16,15 @@ __all__ = ["Pool"]
 
 
 class Pool(ProcessPoolExecutor):
-    """``count`` fresh processes.
+    """``count`` fresh processes; ``begin(*given)``, if any, is called in each before its work.
 
     Whatever ends the ``with`` block but its own end (Ctrl-C, an error) kills them: what they were at is not waited for. Ctrl-C is for this
     process alone. Where this process is killed, they end by themselves.
     Raises OSError where one of them was ended from outside, as systems do that run out of memory.
     """
 
-    def __init__(self, count: int):
-        super().__init__(count, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
+    def __init__(self, count: int, begin: Callable | None = None, *given):
+        super().__init__(count, mp_context=multiprocessing.get_context("spawn"), initializer=_begin, initargs=(begin, *given))
 
     def submit(self, *given, **named):
         with _deaf():
@@ -36,7 +36,8 @@ class Pool(ProcessPoolExecutor):
                 process.kill()
             self.shutdown(cancel_futures=True)
         if isinstance(error, BrokenProcessPool):
-            raise OSError("a worker process was ended from outside (out of memory?); the same command goes on from here") from error
+            said = "a worker process was ended from outside (out of memory?); the same command goes on from here"
+            raise OSError(f"{said}, with fewer --jobs if need be") from error
         return super().__exit__(kind, error, trace)
 
 
@@ -53,8 +54,10 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin():
+def _begin(begin, *given):
     Thread(target=_follow, daemon=True).start()
+    if begin is not None:
+        begin(*given)
 
 
 def _follow():
