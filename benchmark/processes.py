@@ -12,6 +12,7 @@ import signal
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 
 __all__ = ["cards", "cores", "end_children", "workers"]
@@ -41,7 +42,8 @@ def workers(count: int, devices: Sequence[str] = ()) -> Iterator[ProcessPoolExec
     """A pool of ``count`` fresh processes; each takes the next of ``devices``, and the first again after the last, for its only card.
 
     What a process runs may use as many threads as it has cores to itself. When the block ends by an error, what runs is finished and what
-    waits is dropped; when it is told to stop (KeyboardInterrupt and the like), the processes are ended at once.
+    waits is dropped; when it is told to stop (KeyboardInterrupt and the like), the processes are ended at once. Raises OSError where a
+    process was ended by somebody else.
     """
     context = multiprocessing.get_context("spawn")
     turns = context.Queue() if devices else None
@@ -54,6 +56,9 @@ def workers(count: int, devices: Sequence[str] = ()) -> Iterator[ProcessPoolExec
         if not isinstance(error, Exception):
             end_children()
         pool.shutdown(cancel_futures=True)
+        if isinstance(error, BrokenProcessPool):
+            said = "one of the processes was ended from outside, most likely for want of memory; the same command goes on from here"
+            raise OSError(f"{said}, with fewer --jobs if need be") from error
         raise
     pool.shutdown()
 

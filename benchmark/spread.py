@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 from collections.abc import Sequence
 from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 
 from .cache import Cache
 from .opening import Opened, open_recordings
@@ -28,24 +27,20 @@ def spread(
 ) -> list[dict]:
     """The rows of ``fits`` in their order, computed by ``jobs`` processes that share out ``devices``, or else one for each of these.
 
-    Twins and rows pass through ``cache``, as they do between runs. Raises as ``Runner.run`` does, ValueError where other processes find
-    neither the recordings nor the methods, and OSError where one of them dies.
+    Twins and rows pass through ``cache``, as they do between runs. Raises as ``Runner.run`` and ``workers`` do, and ValueError where other
+    processes cannot find the recordings or the methods.
     """
     _check_portable(opened, settings)
     groups = _together(fits, settings)
     rows: dict[int, list[dict]] = {}
     progress("reading", 0.0)
     where = opened.path, opened.split, opened.collection.name
-    try:
-        with workers(min(jobs or len(devices), len(groups)), devices) as pool:
-            running = {pool.submit(_rows, where, settings, cache, [fits[k] for k in group]): group for group in groups}
-            for future in as_completed(running):
-                for k, (found, last) in zip(running[future], future.result(), strict=True):
-                    rows[k] = found
-                    progress(last, len(rows) / len(fits))
-    except BrokenProcessPool as error:
-        said = "one of the processes was ended from outside, most likely for want of memory; the same command goes on from here"
-        raise OSError(f"{said}, with fewer --jobs if need be") from error
+    with workers(min(jobs or len(devices), len(groups)), devices) as pool:
+        running = {pool.submit(_rows, where, settings, cache, [fits[k] for k in group]): group for group in groups}
+        for future in as_completed(running):
+            for k, (found, last) in zip(running[future], future.result(), strict=True):
+                rows[k] = found
+                progress(last, len(rows) / len(fits))
     return [row for k in range(len(fits)) for row in rows[k]]
 
 
