@@ -249,11 +249,15 @@ _SEEN: dict[type, str] = {}
 
 
 class _Unwritten:
-    """A method that is in no file: its twins are remembered for as long as this very class is there."""
+    """A method that is in no file: its twins are remembered for as long as this very class is there. Else it is what its class is."""
 
     def __init__(self, kind: type[Method]):
-        self._kind, self.name, self.reads_images, self.builds_on = kind, kind.name, kind.reads_images, kind.builds_on
-        self.key, self.__doc__, self.__module__ = [kind.name, _identity(kind)], kind.__doc__, kind.__module__
+        self._kind, self.__doc__, self.__module__ = kind, kind.__doc__, kind.__module__
+        self.key = [kind.name, _identity(kind)]
+        self.modules = tuple(dict.fromkeys(base.__module__ for base in kind.__mro__ if _file(base)))
 
     def __call__(self) -> Method:
         return self._kind()
+
+    def __getattr__(self, name: str):
+        return getattr(self._kind, name)

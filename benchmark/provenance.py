@@ -95,7 +95,7 @@ def origin(began: datetime, used: Iterable, options: Mapping) -> dict:
 
 def _plugins(used: Iterable) -> dict[str, str]:
     """Versions of the distributions, beside twinbench, that methods and metrics come from."""
-    modules = {getattr(one, "__module__", None) for one in used}  # of a class its own, of an object its class's
+    modules = [name for one in used for name in getattr(one, "modules", None) or (getattr(one, "__module__", None),)]
     outside = {name.split(".")[0] for name in modules if name} - {"twinbench", "__main__", "builtins"}
     if not outside:
         return {}

@@ -27,8 +27,8 @@ def spread(
 ) -> list[dict]:
     """The rows of ``fits`` in their order, computed by ``jobs`` processes that share out ``devices``, or else one for each of these.
 
-    Twins and rows pass through ``cache``, as they do between runs. Raises as ``Runner.run`` does, ValueError where other processes find
-    neither the recordings nor the methods, and OSError where one of them dies.
+    Twins and rows pass through ``cache``, as they do between runs. Raises as ``Runner.run`` and ``workers`` do, and ValueError where other
+    processes cannot find the recordings or the methods.
     """
     _check_portable(opened, settings)
     groups = _together(fits, settings)

@@ -51,8 +51,8 @@ class Stop:
 
 @contextmanager
 def stoppable() -> Iterator[Stop]:
-    """Within, the first SIGINT or SIGTERM raises KeyboardInterrupt. The process ends when that leaves the block, ``GRACE`` seconds later, or
-    by a second signal, whichever is first.
+    """Within, the first SIGINT or SIGTERM raises KeyboardInterrupt. The process ends when that leaves the block, ``GRACE`` seconds later,
+    or by a second signal, whichever is first.
 
     Outside the main thread, where signals are nobody's business, it does nothing.
     """

@@ -81,6 +81,13 @@ def test_processes_end_with_whoever_started_them(tmp_path):
     assert code == -signal.SIGKILL and seconds < 2
 
 
+def test_a_process_that_is_ended_by_somebody_else_is_an_error_with_a_reason():
+    from twinbench.benchmark.processes import workers
+
+    with pytest.raises(OSError, match="ended from outside, most likely for want of memory"), workers(1) as pool:
+        pool.submit(signal.raise_signal, signal.SIGKILL).result()
+
+
 def test_signals_are_nobodys_business_after_a_command():
     from twinbench.benchmark.cli import main
 

@@ -7,6 +7,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from ..text import shown
+
 __all__ = ["Check"]
 
 
@@ -26,7 +28,7 @@ class Check:
             raise ValueError(f"no recording at {folder}: no such folder")
         findings = check(folder)
         for finding in findings:
-            print(finding)
+            print(shown(str(finding)))
         if not findings:
-            print(f"{folder}: complete")
+            print(f"{shown(str(folder))}: complete")
         return 1 if any(finding.severity == "error" for finding in findings) else 0

@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from ..options import DEVICES, PRESETS, known, writable
+from ..text import shown
 
 __all__ = ["Concealed"]
 
@@ -44,5 +45,5 @@ class Concealed:
         results, labels, scored = concealed.study(self.data, writable(self.out), **how)
         print(concealed.by_effect(results, labels))
         print("\n".join(f"{name:16} {value}" for name, value in scored.items()))
-        print(f"Written to {self.out}")
+        print(f"Written to {shown(str(self.out))}")
         return 1 if any(r["verdict"] == "failed" for r in results.values()) else 0

@@ -10,6 +10,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from ..options import DEVICES, PRESETS, known, writable
+from ..text import shown
 
 __all__ = ["Diagnose"]
 
@@ -31,6 +32,8 @@ class Diagnose:
     """How much work: quick or full."""
     device: str = "cpu"
     """Where to compute: cpu or cuda."""
+    quiet: bool = False
+    """Say nothing on standard error of how far it is."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("results/diagnosis")
     """Folder for diagnosis.json and report.html."""
 
@@ -44,11 +47,14 @@ class Diagnose:
         case = open_scenario(self.case)
         transfer, fitted_on = ([open_scenario(path) for path in paths] for paths in (self.transfer, self.fitted_on))
         folder = writable(self.out)
-        say = (lambda said: print(f"{said} ...", file=sys.stderr)) if sys.stderr.isatty() else (lambda said: None)
+
+        def say(said: str) -> None:
+            if not self.quiet:
+                print(f"{shown(said)} ...", file=sys.stderr, flush=True)
+
         found = diagnose(case, transfer=transfer, fitted_on=fitted_on, preset=self.preset, device=self.device, progress=say)
         found.write(folder)
-        print(headline(found.result))
-        for line in filter(None, (improvement(found.result), found.result["experiment"])):
-            print(line)
-        print(f"Written to {folder}: diagnosis.json, report.html")
+        for line in filter(None, (headline(found.result), improvement(found.result), found.result["experiment"])):
+            print(shown(line))
+        print(f"Written to {shown(str(folder))}: diagnosis.json, report.html")
         return 0

@@ -8,6 +8,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from ..options import SPLITS, chosen_metrics, first_line, known
+from ..text import shown
 
 __all__ = ["List"]
 
@@ -38,7 +39,7 @@ class List:
         _section("layouts", {name: first_line(type(layout)) for name, layout in layouts().items()})
         for path in self.data:
             collection = open_recordings(path, split=self.split, cache=Cache(default_cache())).collection
-            _section(f"recordings of {collection.name} ({path})", {name: _roles(collection, name) for name in collection.scenarios})
+            _section(f"recordings of {collection.name} ({shown(path)})", {name: _roles(collection, name) for name in collection.scenarios})
         return 0
 
 

@@ -9,6 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from ..options import DEVICES, PRESETS, SPLITS, Names, chosen_methods, chosen_metrics, known
+from ..text import shown
 
 __all__ = ["Picture"]
 
@@ -58,5 +59,5 @@ class Picture:
         with Bar(name) as bar:
             rollouts, fitted = Player(opened, Settings(methods, metrics, self.preset, self.device), cache).play_all(name, self.seed, bar)
         draw(scenario, rollouts, metrics[self.metric], out, fitted=fitted)
-        print(f"Written to {out}")
+        print(f"Written to {shown(str(out))}")
         return 0

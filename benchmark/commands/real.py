@@ -10,6 +10,7 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from ..options import DEVICES, known, writable
+from ..text import shown
 
 __all__ = ["Real"]
 
@@ -37,5 +38,5 @@ class Real:
         known("device", [self.device], DEVICES)
         options = {"seeds": self.seeds} if self.study == "cables" else {}
         studies[self.study](self.data, writable(self.out), device=self.device, **options)
-        print(f"Written to {self.out}")
+        print(f"Written to {shown(str(self.out))}")
         return 0
