@@ -94,7 +94,7 @@ def method_code(method: Callable) -> str:
     """Hexadecimal SHA-256 of what a fit depends on: ``physics/``, ``methods/``, the method's own room, or a plug-in's own file."""
     shared = code(*dict.fromkeys(("physics", "methods", getattr(method, "room", "methods"))))
     try:
-        file = Path(inspect.getsourcefile(method) or "").resolve()
+        file = Path(inspect.getsourcefile(getattr(method, "kind", method)) or "").resolve()
     except TypeError:
         return shared
     return shared if not file.is_file() or _PACKAGE / "methods" in file.parents else digest(shared, _hash([file]))

@@ -13,7 +13,7 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..methods.base import Budget, Method, Trajectory, Twin
 from ..methods.registry import methods as known_methods
-from ..metrics.base import Metric, scores
+from ..metrics.base import Metric, lacking, scores
 from .cache import Cache, digest
 from .checksum import Checksums, code, method_code
 from .opening import Opened
@@ -193,8 +193,9 @@ class Runner:
             shown = self._shown(trajectory, wanted[0].target, report)
             for evaluation in wanted:
                 self._unseen.discard(evaluation)
-                row = self._row(self._score(shown, target, evaluation.task), about)
-                if shown.faults:
+                faults: dict[str, str] = {}
+                row = self._row(self._score(shown, target, evaluation.task, faults), about)
+                if shown.faults or faults:
                     self._unseen.add(evaluation)
                 yield evaluation, row
 
@@ -219,7 +220,7 @@ class Runner:
 
         return Shown.of(trajectory, appearance)
 
-    def _score(self, trajectory: Shown, target: Scenario, task: str) -> dict:
+    def _score(self, trajectory: Shown, target: Scenario, task: str, faults: dict[str, str]) -> dict:
         wanted = frames(task, target.split)
         if not wanted:
             return {"status": "skipped", "reason": f"the recording has no frames for {task}"}
@@ -231,7 +232,7 @@ class Runner:
             target = replace(target, images=Recent(target.images))
         try:
             with as_status():
-                for name, result in scores(self.settings.metrics, trajectory, target, wanted).items():
+                for name, result in scores(self.settings.metrics, trajectory, target, wanted, faults=faults).items():
                     row |= {name: result.mean, f"{name}_unscorable": result.unscorable, f"{name}_reason": result.reason}
         except Stopped as stopped:
             return stopped.row
@@ -269,7 +270,7 @@ class Runner:
     def _row_key(self, fit_key: str, evaluation: Evaluation) -> str:
         images = self._checksums.images(evaluation.target) if self.settings.images else ""
         wanted = {name: metric for name, metric in self.settings.metrics.items() if images or not metric.images}
-        available = [name for name, metric in wanted.items() if metric.unavailable() is None]  # not asked where there are no images
+        available = [name for name, metric in wanted.items() if lacking(metric) is None]  # not asked where there are no images
         metrics = [(name, metric.version, name in available) for name, metric in self.settings.metrics.items()]
         return digest(fit_key, evaluation.task, self._checksums[evaluation.target], images, metrics, code("metrics", "methods/appearance"))
 

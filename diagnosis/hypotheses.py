@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -11,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from ..physics import terms as room
+from ..physics.catalogue import terms
 from ..physics.terms.base import Term
 from .locate import peaks
 from .model import Knob, Simulator
@@ -80,9 +78,7 @@ class Hypothesis:
 @cache
 def catalogue() -> tuple[type[Term], ...]:
     """Every term that declares an effect, by name."""
-    modules = [importlib.import_module(f"{room.__name__}.{m.name}") for m in pkgutil.iter_modules(room.__path__)]
-    found = {v for m in modules for v in vars(m).values() if isinstance(v, type) and issubclass(v, Term) and v.effect}
-    return tuple(sorted(found, key=lambda t: t.name))
+    return tuple(sorted((term for term in terms().values() if term.effect), key=lambda t: t.name))
 
 
 def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray) -> list[Hypothesis]:

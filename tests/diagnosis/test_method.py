@@ -14,13 +14,15 @@ from twinbench.benchmark.plan import plan
 from twinbench.benchmark.runner import Runner, Settings
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Plane
-from twinbench.diagnosis import method
+from twinbench.diagnosis import extended
+from twinbench.diagnosis.extended import DiagnosedTwin, named
 from twinbench.diagnosis.inquiry import PRESETS, Preset
-from twinbench.diagnosis.method import DiagnosedTwin, PhysTwinDiagnosed, named
+from twinbench.diagnosis.method import PhysTwinDiagnosed
 from twinbench.methods.base import Budget
 from twinbench.methods.phystwin import PhysTwin
 from twinbench.methods.phystwin.body import Place, _made, build, system
-from twinbench.methods.phystwin.config import SEARCHED, Config
+from twinbench.methods.phystwin.config import Config
+from twinbench.methods.phystwin.ranges import SEARCHED
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
 from twinbench.physics import terms
@@ -56,7 +58,7 @@ def unnamed(verdict="adequate"):
 def answering(monkeypatch, found):
     """Diagnoses that say ``found``; what they were asked."""
     asked = []
-    monkeypatch.setattr(method, "diagnose", lambda scenario, **options: asked.append((scenario, options)) or found)
+    monkeypatch.setattr(extended, "diagnose", lambda scenario, **options: asked.append((scenario, options)) or found)
     return asked
 
 
