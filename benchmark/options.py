@@ -50,6 +50,7 @@ def chosen_methods(names: Iterable[str]) -> dict:
 
     found = methods()
     every = [name for name, method in found.items() if getattr(method, "room", "") == "methods"]  # a diagnosis takes as long as all others
+    names = [name for entry in names for name in entry.split(",")]
     return chosen("method", [one for name in names for one in (every if name == "all" else [name])], found)
 
 

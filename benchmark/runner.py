@@ -154,6 +154,10 @@ class Runner:
         start = time.perf_counter()
         with as_status():
             twin = method.fit(observed, budget=Budget(settings.preset), seed=fit.seed, device=settings.device, progress=report, **options)
+            if not isinstance(twin, Twin):
+                raise TypeError(f"fit must return a Twin, got {type(twin).__name__}")
+            if not isinstance(twin.note, str):
+                raise TypeError(f"a twin's note must be a string, got {twin.note!r}")
         about = {"fit_seconds": spent + time.perf_counter() - start, **peak_memory(), "note": twin.note}
         about |= {"module": type(twin).__module__, "class": type(twin).__qualname__}
         try:
@@ -205,6 +209,8 @@ class Runner:
         with as_status():
             placed = twin.retarget(target.initial()) if transfer else twin
             trajectory = placed.rollout(target.controllers)
+            if not isinstance(trajectory, Trajectory) or np.asarray(trajectory.positions).dtype.kind != "f":
+                raise TypeError(f"rollout must return a Trajectory of floats, got {type(trajectory).__name__}")
             if len(trajectory.positions) != target.frame_count:
                 raise ValueError(f"the roll-out has {len(trajectory.positions)} frames, the controllers have {target.frame_count}")
         peaks = {name: max(value, about[name]) for name, value in peak_memory().items()}

@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from inspect import isclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from .plugins import Kind, Origin, discover, nearest, said, warn
 from .scenario import Scenario, TransferPair
@@ -64,6 +63,7 @@ def _as_input(what: str) -> Iterator[None]:
         raise ValueError(f"{what} cannot be read: {said(error)}") from error
 
 
+@runtime_checkable
 class Layout(Protocol):
     """How the recordings of one source lie on disk."""
 
@@ -78,15 +78,14 @@ class Layout(Protocol):
         ...
 
 
-def _accept(offer, origin: Origin, known) -> Layout:
-    layout = offer() if isclass(offer) else offer
+def _accept(layout: Layout, origin: Origin, known) -> Layout:
     for call in ("matches", "open"):
-        if not callable(getattr(layout, call, None)):
-            raise ValueError(f"a layout must have matches(path) and open(path, *, split), got {offer!r}")
+        if not callable(getattr(layout, call)):
+            raise ValueError(f"{call} must be a function, got {getattr(layout, call)!r}")
     return layout
 
 
-KIND = Kind("layout", "twinbench.datasets", ("datasets",), ("LAYOUT", "LAYOUTS"), _accept)
+KIND = Kind("layout", "twinbench.datasets", ("datasets",), ("LAYOUT", "LAYOUTS"), Layout, _accept, made=True)
 
 
 def layouts() -> dict[str, Layout]:

@@ -49,20 +49,23 @@ class Origin:
 class Kind:
     """What can be plugged in.
 
-    noun     what it is called
-    group    the group of entry points
-    rooms    folders of this package that it stands in
-    listed   names under which a module lists what it has
-    accept   ``accept(object, origin, known)``: what is kept of an object that was found, beside those known by name; raises ValueError
-    base     a class: a module that lists nothing has all of its subclasses that are defined there
+    noun      what it is called
+    group     the group of entry points
+    rooms     folders of this package that it stands in
+    listed    names under which a module lists what it has
+    base      what all of them are: subclasses, or where they are ``made``, instances (of a class that is listed, one is made)
+    accept    ``accept(thing, origin, known)``: what is kept of it, beside those known by name; raises ValueError
+    gathered  whether a module that lists nothing has all subclasses of ``base`` that are defined there
     """
 
     noun: str
     group: str
     rooms: tuple[str, ...]
     listed: tuple[str, ...]
+    base: type
     accept: Callable[[object, Origin, Mapping[str, object]], object]
-    base: type | None = None
+    made: bool = False
+    gathered: bool = False
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,11 @@ class Found:
 
 @cache
 def discover(kind: Kind) -> Found:
-    """All of a kind: ours, then those of installed packages. Looked up once a process. Of two with one name the first is kept."""
-    things, origins, offers = {}, {}, {}
+    """All of a kind: ours, then those of other packages in the order of the packages' names; looked up once a process.
+
+    Of two with one name the first is kept.
+    """
+    things, origins, offers = {}, {}, []
     for names, origin, load in (*_own(kind), *_installed(kind)):
         try:
             listed = _listed(kind, load(), needed=bool(origin.distribution))
@@ -101,14 +107,16 @@ def discover(kind: Kind) -> Found:
         for offer in listed:
             called = names
             try:
-                name = _name(offer)
-                called = (*names, name)
-                if offers.get(name) is offer:  # listed twice
+                if any(offer is other for other in offers):  # listed twice
                     continue
+                thing = _thing(kind, offer)
+                name = _name(thing)
+                called = (*names, name)
                 if name in things:
                     raise ValueError(f"there is another {kind.noun} of that name ({origins[name]})")
-                things[name] = kind.accept(offer, origin, dict(things))
-                origins[name], offers[name] = origin, offer
+                things[name] = kind.accept(thing, origin, dict(things))
+                origins[name] = origin
+                offers.append(offer)
             except KeyboardInterrupt:
                 raise
             except BaseException as error:
@@ -118,7 +126,7 @@ def discover(kind: Kind) -> Found:
 
 def _own(kind: Kind) -> Iterator[tuple]:
     """Files of this package that mention what they would list: the others need no import."""
-    words = [word.encode() for word in (*kind.listed, *([kind.base.__name__] if kind.base else []))]
+    words = [word.encode() for word in (*kind.listed, *([kind.base.__name__] if kind.gathered else []))]
     for room in kind.rooms:
         folder = _ROOT / room
         for file in sorted(file for pattern in ("[!_.]*.py", "[!_.]*/__init__.py") for file in folder.glob(pattern) if file.is_file()):
@@ -156,18 +164,16 @@ def _packages() -> tuple[tuple[Origin, EntryPoints], ...]:
                 continue
         except (OSError, ValueError):  # nobody knows whether it speaks of us
             continue
-        origin = Origin(_entry_file(distribution))
+        place = one_line(getattr(distribution, "_path", distribution))
         try:
-            about = distribution.metadata
-            origin = Origin("", one_line(about["Name"]), one_line(about["Version"]))
-            found.setdefault(re.sub(r"[-_.]+", "-", about["Name"]).lower(), (origin, distribution.entry_points))
+            name, version = distribution.metadata["Name"], distribution.metadata["Version"]
+            if not (name and version):
+                raise ValueError("METADATA must have a Name and a Version")
+            origin = Origin(place, one_line(name), one_line(version))
+            found.setdefault(re.sub(r"[-_.]+", "-", name).lower(), (origin, distribution.entry_points))
         except Exception as error:
-            warn(f"plug-ins of {origin.package or origin.place} are left out: its metadata cannot be read: {said(error)}")
+            warn(f"the plug-ins of {place} are left out: {said(error)}")
     return tuple(found[name] for name in sorted(found))
-
-
-def _entry_file(distribution) -> str:
-    return one_line(getattr(distribution, "_path", distribution))
 
 
 def _listed(kind: Kind, offered, *, needed: bool) -> list:
@@ -175,7 +181,7 @@ def _listed(kind: Kind, offered, *, needed: bool) -> list:
     if not ismodule(offered):
         return list(offered) if isinstance(offered, tuple | list) else [offered]
     found = [_listed(kind, vars(offered)[name], needed=False) for name in kind.listed if name in vars(offered)]
-    if not found and kind.base:
+    if not found and kind.gathered:
         own = (value for value in vars(offered).values() if isclass(value) and issubclass(value, kind.base) and value is not kind.base)
         found = [[value for value in own if f"{value.__module__}.".startswith(f"{offered.__name__}.")]]
     if needed and not any(found):
@@ -183,10 +189,19 @@ def _listed(kind: Kind, offered, *, needed: bool) -> list:
     return [one for several in found for one in several]
 
 
-def _name(offer) -> str:
-    name = getattr(offer, "name", None)
+def _thing(kind: Kind, offer):
+    """The class or instance that is offered. Raises ValueError where it is neither."""
+    thing = offer() if kind.made and isclass(offer) else offer
+    if not (isinstance(thing, kind.base) if kind.made else isclass(thing) and issubclass(thing, kind.base)):
+        wanted = f"{'an instance' if kind.made else 'a subclass'} of {kind.base.__module__}.{kind.base.__qualname__}"
+        raise ValueError(f"a {kind.noun} must be {wanted}, got {offer!r}")
+    return thing
+
+
+def _name(thing) -> str:
+    name = getattr(thing, "name", None)
     if not (isinstance(name, str) and NAME.fullmatch(name)):
-        raise ValueError(f"its name must be up to 64 of the characters A-Z a-z 0-9 _ . + -, got {name!r} (of {offer!r})")
+        raise ValueError(f"its name must be up to 64 of the characters A-Z a-z 0-9 _ . + -, got {name!r} (of {thing!r})")
     return name
 
 

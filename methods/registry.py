@@ -7,7 +7,7 @@ package name, see ``datasets/plugins.py``. All are imported, so a method imports
 
 from __future__ import annotations
 
-from inspect import getdoc, isabstract, isclass
+from inspect import getdoc, isabstract
 
 from ..datasets.plugins import Kind, Origin, discover, unknown
 from .base import Method
@@ -36,9 +36,7 @@ class Found:
         return f"{self.kind.__qualname__} in {self.kind.__module__}"
 
 
-def _accept(offer, origin: Origin, known) -> Found:
-    if not (isclass(offer) and issubclass(offer, Method)):
-        raise ValueError(f"a method must be a subclass of twinbench.methods.base.Method, got {offer!r}")
+def _accept(offer: type[Method], origin: Origin, known) -> Found:
     if isabstract(offer):
         raise ValueError(f"{offer.__qualname__} lacks {', '.join(sorted(offer.__abstractmethods__))}")
     if offer.name == "all":
@@ -51,7 +49,7 @@ def _accept(offer, origin: Origin, known) -> Found:
     return Found(offer, origin)
 
 
-KIND = Kind("method", "twinbench.methods", ("methods", "diagnosis"), ("METHOD", "METHODS"), _accept)
+KIND = Kind("method", "twinbench.methods", ("methods", "diagnosis"), ("METHOD", "METHODS"), Method, _accept)
 
 
 def methods() -> dict[str, Found]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from inspect import isclass
 from typing import Literal, Protocol
 
 import numpy as np
@@ -174,10 +173,7 @@ def _average(metric, values, missing, finite, prediction, scenario, frames) -> S
     return Score(mean, len(values), int((~scorable).sum()), reason)
 
 
-def _accept(offer, origin: Origin, known) -> Metric:
-    metric = offer() if isclass(offer) and issubclass(offer, Metric) else offer
-    if not isinstance(metric, Metric):
-        raise ValueError(f"a metric must be an instance of a subclass of twinbench.metrics.base.Metric, got {offer!r}")
+def _accept(metric: Metric, origin: Origin, known) -> Metric:
     if metric.name in COLUMNS or metric.name.endswith(("_unscorable", "_reason")):
         raise ValueError(f"its name must not be {metric.name!r}, which is a column of results")
     if metric.direction not in ("lower", "higher"):
@@ -192,7 +188,7 @@ def _accept(offer, origin: Origin, known) -> Metric:
     return metric
 
 
-KIND = Kind("metric", "twinbench.metrics", ("metrics",), ("METRIC", "METRICS"), _accept)
+KIND = Kind("metric", "twinbench.metrics", ("metrics",), ("METRIC", "METRICS"), Metric, _accept, made=True)
 
 
 def metrics() -> dict[str, Metric]:

@@ -22,9 +22,7 @@ RIVALS = ("move", "contact")  # stages that take one term: two of them never mee
 NAME = re.compile("[a-z][a-z0-9_]*")
 
 
-def _accept(offer, origin: Origin, known) -> type[Term]:
-    if not (inspect.isclass(offer) and issubclass(offer, Term)):
-        raise ValueError(f"a term must be a subclass of twinbench.physics.terms.base.Term, got {offer!r}")
+def _accept(offer: type[Term], origin: Origin, known) -> type[Term]:
     _check_name("a term", offer.name)
     if getattr(offer, "stage", None) not in STAGES:
         raise ValueError(f"stage must be one of {', '.join(STAGES)}, got {getattr(offer, 'stage', None)!r}")
@@ -92,7 +90,7 @@ def _check_effect(term: type[Term]) -> None:
         raise ValueError(f"{effect.within} must be > 0 m, around a place")
 
 
-KIND = Kind("term", "twinbench.terms", ("physics/terms",), ("TERM", "TERMS"), _accept, Term)
+KIND = Kind("term", "twinbench.terms", ("physics/terms",), ("TERM", "TERMS"), Term, _accept, gathered=True)
 
 
 def terms() -> dict[str, type[Term]]:

@@ -1,10 +1,15 @@
 """Plug-ins of other packages: what an entry point may name, and that a broken one is one warning and never the end of anything."""
 
+import csv
 import os
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+from twinbench.benchmark.cli import main
+from twinbench.metrics.base import COLUMNS
 
 KINDS = {"methods": "method", "metrics": "metric", "datasets": "layout", "terms": "term"}
 GOOD = '''
@@ -54,6 +59,13 @@ METRIC = (
     "from twinbench.metrics.base import Metric\nclass Bad(Metric):\n    name, unit, direction, version = {0!r}, {1!r}, {2!r}, {3!r}\n"
     "    def per_frame(self, prediction, scenario, frames): return {4}\n"
 )
+NOTING = """
+from twinbench.methods.static import Static, StaticTwin
+class Noted(StaticTwin):
+    note = 5
+class Bad(Static):
+    name, twin = "noting", Noted
+"""
 LAYOUT = "class Bad:\n    name = 'bad'\n    def matches(self, path): {0}\n    def open(self, path, *, split='published'): {1}\n"
 # by the name of the package: group, what its entry point says, its module, and what the warning says; None where there is none
 BROKEN = {
@@ -63,12 +75,17 @@ BROKEN = {
     "bytes": ("metrics", "bytes_:X", b"\xff\xfe\x00", "SyntaxError"),
     "needs": ("methods", "needs:X", "import an_engine_that_is_not_here", "No module named 'an_engine_that_is_not_here'"),
     "gone": ("methods", "no_such_module:X", "", "No module named 'no_such_module'"),
-    "attribute": ("datasets", "attribute:Gone", "", "AttributeError"),
+    "attribute": ("datasets", "attribute:Gone", "x = 1", "AttributeError"),
     "nonsense": ("datasets", "not a reference!", "", "left out"),
     "loop": ("metrics", "loop:X", "def f(): f()\nf()", "RecursionError"),
     "wrong-type": ("methods", "wrong_type:X", "X = 5", "must be a subclass of twinbench.methods.base.Method, got 5"),
-    "wrong-metric": ("metrics", "wrong_metric:X", "X = (len, None)", "must be an instance of a subclass of twinbench.metrics.base.Metric"),
-    "wrong-layout": ("datasets", "wrong_layout:X", "class X:\n    name = 'x'", "must have matches(path) and open(path, *, split)"),
+    "wrong-metric": ("metrics", "wrong_metric:X", "X = (len,)", "must be an instance of twinbench.metrics.base.Metric"),
+    "wrong-layout": (
+        "datasets",
+        "wrong_layout:X",
+        "class X:\n    name = 'x'",
+        "must be an instance of twinbench.datasets.collection.Layout",
+    ),
     "empty": ("methods", "empty", "x = 1", "module empty holds no METHOD or METHODS"),
     "abstract": (
         "methods",
@@ -77,7 +94,12 @@ BROKEN = {
         "X lacks fit",
     ),
     "clash": ("methods", "clash:Bad", METHOD.format(name="static"), "there is another method of that name (methods/static.py)"),
-    "clash-two": ("methods", "clash_two:Bad", METHOD.format(name="still"), "there is another method of that name (good 1.2, entry point"),
+    "other-clash": (
+        "methods",
+        "other_clash:Bad",
+        METHOD.format(name="still"),
+        "there is another method of that name (good 1.2, entry point",
+    ),
     "unnamed": ("methods", "unnamed:Bad", METHOD.format(name=None), "its name must be"),
     "path": ("methods", "path:Bad", METHOD.format(name="../../x"), "its name must be"),
     "escape": ("methods", "escape:Bad", METHOD.format(name="\x1b[31mx"), "its name must be"),
@@ -99,14 +121,15 @@ BROKEN = {
         None,
     ),
     "fitting": ("methods", "fitting:Bad", METHOD.format(name="fitting"), None),
+    "noting": ("methods", "noting:Bad", NOTING, None),
     "making": ("methods", "making:Bad", METHOD.format(name="making") + "    def __init__(self, x): ...\n", None),
     "based": ("methods", "based:Bad", METHOD.format(name="based") + "    builds_on = 'nothing'\n", None),
 }
 
 
-
 def package(folder, name, entry_points, *, module="", text=None, version="1.2", metadata=None):
     """An installed distribution in ``folder``, as pip leaves it: a module and a .dist-info."""
+    folder.mkdir(exist_ok=True)
     if text is not None:
         (folder / f"{module}.py").write_bytes(text if isinstance(text, bytes) else text.encode())
     info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
@@ -125,10 +148,10 @@ def good(folder):
 @pytest.fixture
 def python(tmp_path):
     """Run Python where the packages of ``site`` are installed; returns the finished process."""
-    (tmp_path / "site").mkdir()
 
     def run(*arguments):
         environment = os.environ | {"PYTHONPATH": str(tmp_path / "site"), "TWINBENCH_CACHE": str(tmp_path / "cache")}
+        (tmp_path / "site").mkdir(exist_ok=True)
         return subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, cwd=tmp_path, env=environment)
 
     return run
@@ -147,3 +170,140 @@ def test_what_another_package_brings_is_listed_with_its_name_and_version(tmp_pat
     for name, says in {"still": "Holds frame 0, again.", "worst": "The largest coordinate error", "nowhere": "nobody has."}.items():
         assert says in lines[name] and lines[name].endswith("(good 1.2)")
     assert "(" not in lines["static"]
+
+
+@pytest.fixture
+def hostile(tmp_path):
+    """A good package among all broken ones."""
+    site = tmp_path / "site"
+    good(site)
+    for name, (group, value, text, _) in BROKEN.items():
+        module = value.partition(":")[0]
+        package(site, name, f"[twinbench.{group}]\n{name} = {value}\n", module=module, text=text or None)
+    package(site, "no-metadata", "[twinbench.methods]\nx = good:Still\n", metadata="")
+    return site
+
+
+def test_a_broken_plug_in_is_one_named_warning_and_never_the_end_of_list(hostile, twinbench):
+    done = twinbench("list")
+    assert done.returncode == 0 and "Traceback" not in done.stderr and "\x1b" not in done.stdout + done.stderr
+    warnings = done.stderr.splitlines()
+    assert all(line.startswith("twinbench: ") for line in warnings)
+    for name, (group, _, _, says) in BROKEN.items():
+        about = [line for line in warnings if f" ({name} 1.2, entry point twinbench.{group}: {name})" in line]
+        if says is None or name == "matching":
+            assert not about, name
+        else:
+            assert len(about) == 1 and says in about[0] and f"twinbench: {KINDS[group]} " in about[0], name
+    assert sum("no_metadata-1.2.dist-info" in line for line in warnings) == 1
+    for good in ("still", "worst", "nowhere", "static", "phystwin", "chamfer", "softbeam"):
+        assert f"\n  {good} " in done.stdout
+
+
+def test_a_broken_plug_in_never_ends_a_run(hostile, twinbench, tmp_path):
+    metrics = ("chamfer", "worst", "scoring", "lengths", "asking")  # of images none, for time
+    options = ("--tasks", "prediction", "--out", "out", "--metrics", *metrics, "--methods")
+    done = twinbench("run", *options, "static,still", "fitting,noting,making,based")
+    assert done.returncode == 1, done.stderr  # three methods failed
+    assert "Traceback" not in done.stdout + done.stderr
+    rows = {tuple(row[key] for key in ("scenario", "method")): row for row in read_rows(tmp_path / "out")}
+    for scenario in ("plush_lift", "plush_drag"):
+        still, static = rows[scenario, "still"], rows[scenario, "static"]
+        assert still["status"] == static["status"] == "ok" and float(still["worst"]) == float(static["worst"]) > 0.01
+        assert still["chamfer"] == static["chamfer"]
+        reasons = {"scoring": "ZeroDivisionError: division by zero", "asking": "KeyError: 'x'", "lengths": "cannot reshape"}
+        for metric, reason in reasons.items():
+            assert still[metric] == "nan" and reason in still[f"{metric}_reason"]
+        for method, reason in {
+            "fitting": "fit must return a Twin, got NoneType",
+            "noting": "note must be a string",
+            "making": "missing 1 required positional argument: 'x'",
+            "based": "nothing",
+        }.items():
+            assert rows[scenario, method]["status"] == "failed" and reason in rows[scenario, method]["reason"]
+
+
+def read_rows(folder):
+    with (folder / "rows.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--methods", "raises"], "method 'raises' (raises 1.2, entry point twinbench.methods: raises) is left out: ZeroDivisionError"),
+        (["--methods", "all,quits"], "method 'quits' (quits 1.2, entry point twinbench.methods: quits) is left out: SystemExit: 3"),
+        (["--methods", "stil"], "unknown method 'stil'; did you mean 'still'?"),
+        (["--metrics", "d"], "metric 'd' (direction 1.2, entry point twinbench.metrics: direction) is left out: direction must be"),
+        (["--data", "folder"], "no recordings at folder: none of the layouts deform, deft, phystwin, softbeam, nowhere, bad recognises it"),
+    ],
+)
+def test_asking_for_a_broken_plug_in_says_why_it_is_not_there(hostile, twinbench, tmp_path, arguments, says):
+    (tmp_path / "folder").mkdir()
+    done = twinbench("run", *arguments)
+    assert done.returncode == 2
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("twinbench: ") and says in last
+
+
+def test_a_damaged_list_of_entry_points_is_one_warning(tmp_path, python):
+    # in Python: the command line's own libraries look up entry points, too
+    package(tmp_path / "site", "no-pairs", "[twinbench.methods]\nnot a pair\n")
+    package(tmp_path / "site", "elsewhere", "[some.group]\nnot a pair\n")  # not ours to say
+    done = python("-c", "from twinbench.methods.registry import methods; print(len(methods()))")
+    assert done.returncode == 0 and int(done.stdout) >= 11
+    assert "no_pairs-1.2.dist-info are left out: TypeError" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_a_layout_that_fails_to_open_is_one_line(tmp_path, twinbench):
+    (tmp_path / "folder").mkdir()
+    site = tmp_path / "site"
+    reads = LAYOUT.format("return path.name == 'folder'", "return {}[path]")
+    package(site, "opening", "[twinbench.datasets]\nx = opening:Bad\n", module="opening", text=reads)
+    done = twinbench("run", "--data", "folder")
+    assert done.returncode == 2 and done.stderr == (
+        "twinbench: folder, which layout 'bad' recognises, cannot be read: KeyError: PosixPath('folder')\n"
+    )
+    (site / "opening.py").write_text(LAYOUT.format("return path.name == 'folder'", "return 5"))
+    done = twinbench("run", "--data", "folder")
+    assert done.returncode == 2 and done.stderr == "twinbench: folder: layout 'bad' must open it as a Collection, got int\n"
+
+
+FILES = {
+    "methods/mine.py": ("METHODS = (undefined,)", "method 'mine' (methods/mine.py) is left out: NameError: name 'undefined'"),
+    "methods/zz.py": ("METHODS", "method 'zz' (methods/zz.py) is left out: NameError"),
+    "methods/twice.py": (
+        METHOD.format(name="static") + "METHODS = Bad",
+        "method 'static' (methods/twice.py) is left out: there is another method of that name (methods/static.py)",
+    ),
+    "metrics/mine.py": ("METRIC: int = 5", "metric 'mine' (metrics/mine.py) is left out: a metric must be an instance"),
+    "datasets/bytes.py": (b"LAYOUT = \xff", "layout 'bytes' (datasets/bytes.py) is left out: SyntaxError"),
+    "physics/terms/mine.py": (
+        "from .base import Term\nclass Mine(Term):\n    name, stage = 'mine', 'body'",
+        "term 'mine' (physics/terms/mine.py) is left out: law must be a function with @wp.func, got None",
+    ),
+}
+
+
+def test_a_broken_file_in_a_clone_is_one_named_warning(tmp_path, python):
+    root, package = Path(__file__).resolve().parents[1], tmp_path / "site" / "twinbench"
+    for room in ("benchmark", "datasets", "diagnosis", "methods", "metrics", "physics"):
+        shutil.copytree(root / room, package / room, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(root / "__init__.py", package)
+    for name, (text, _) in FILES.items():
+        (package / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    done = python("-c", "import sys; from twinbench.benchmark.cli import main; sys.exit(main())", "list", "--terms")
+    assert done.returncode == 0
+    for _, says in FILES.values():
+        assert sum(f"twinbench: {says}" in line for line in done.stderr.splitlines()) == 1, says
+    assert len(done.stderr.splitlines()) == len(FILES)
+    for name in ("static", "chamfer", "phystwin", "springs"):
+        assert f"\n  {name} " in done.stdout
+
+
+def test_no_metric_can_be_called_like_a_column_of_rows(tmp_path, monkeypatch):
+    monkeypatch.setenv("TWINBENCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "--methods", "static", "--metrics", "chamfer", "--out", "out"]) == 0
+    columns = set(read_rows(tmp_path / "out")[0]) - {"chamfer", "chamfer_unscorable", "chamfer_reason"}
+    assert columns == COLUMNS
