@@ -15,7 +15,7 @@ from typing import Protocol, runtime_checkable
 from .plugins import Kind, Origin, discover, nearest, said, warn
 from .scenario import Scenario, TransferPair
 
-__all__ = ["Collection", "Layout", "layouts", "nearest", "open_collection"]
+__all__ = ["Collection", "Layout", "layouts", "nearest", "open_collection", "recognises"]
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,8 @@ def layouts() -> dict[str, Layout]:
     return dict(discover(KIND).things)
 
 
-def _recognises(layout: Layout, path: Path) -> bool:
+def recognises(layout: Layout, path: Path) -> bool:
+    """Whether ``layout`` matches ``path``; one that raises does not, and that is said once."""
     try:
         return bool(layout.matches(path))
     except Exception as error:
@@ -115,12 +116,12 @@ def open_collection(path: str | Path, *, split: str = "published") -> Collection
         raise ValueError(f"no recordings at {path}: no such file or folder")
     known = layouts()
     for layout in known.values():
-        if _recognises(layout, path):
+        if recognises(layout, path):
             with _as_input(f"{path}, which layout {layout.name!r} recognises,"):
                 found = layout.open(path, split=split)
             if not isinstance(found, Collection):
                 raise ValueError(f"{path}: layout {layout.name!r} must open it as a Collection, got {type(found).__name__}")
             return found
-    inside = [f.name for f in sorted(path.iterdir()) if any(_recognises(layout, f) for layout in known.values())] if path.is_dir() else []
+    inside = [f.name for f in sorted(path.iterdir()) if any(recognises(layout, f) for layout in known.values())] if path.is_dir() else []
     hint = f"; but one recognises {', '.join(inside[:8])} in it" if inside else ""
     raise ValueError(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it{hint}")

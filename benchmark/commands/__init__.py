@@ -2,6 +2,7 @@
 
 from .check import Check
 from .concealed import Concealed
+from .conform import Conform
 from .diagnose import Diagnose
 from .download import Download
 from .list import List
@@ -19,6 +20,7 @@ COMMANDS = {
     "check": Check,
     "download": Download,
     "list": List,
+    "conform": Conform,
     "diagnose": Diagnose,
     "concealed": Concealed,
     "real": Real,
