@@ -9,8 +9,11 @@ from itertools import product
 
 import numpy as np
 
-from ..physics.catalogue import terms
+from ..datasets.plugins import discover, warn
+from ..physics import terms as ours
+from ..physics.catalogue import KIND, terms
 from ..physics.terms.base import Term
+from ..physics.trials import fault
 from .locate import peaks
 from .model import Knob, Simulator
 from .replica import spread_out
@@ -77,8 +80,16 @@ class Hypothesis:
 
 @cache
 def catalogue() -> tuple[type[Term], ...]:
-    """Every term that declares an effect, by name."""
-    return tuple(sorted((term for term in terms().values() if term.effect), key=lambda t: t.name))
+    """Every term that declares an effect, by name. One that nobody has tested, of another package or a new file, is tried first."""
+    found = []
+    for name, term in sorted(terms().items()):
+        if term.effect is None:
+            continue
+        if not hasattr(ours, term.__name__) and (wrong := fault(term)):  # it would be the end of every diagnosis
+            warn(f"term {name!r} ({discover(KIND).origins[name]}) is no hypothesis: {wrong}")
+        else:
+            found.append(term)
+    return tuple(found)
 
 
 def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray) -> list[Hypothesis]:

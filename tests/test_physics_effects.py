@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twinbench.benchmark.conformance.bodies import STILL, TABLE, G, body, run, thrown
 from twinbench.physics.batch import Batch
 from twinbench.physics.catalogue import terms
 from twinbench.physics.system import System
@@ -38,6 +37,7 @@ from twinbench.physics.terms.directional_ground import DirectionalGround
 from twinbench.physics.terms.mass_field import MassField
 from twinbench.physics.terms.soft_ground import SoftGround
 from twinbench.physics.terms.stiffness_level import StiffnessLevel
+from twinbench.physics.trials import STILL, TABLE, G, body, run, thrown
 
 ROUNDING = 1e-11  # at most 1e4 steps of numbers of order 1, each rounded by 2^-53 = 1.1e-16, with a margin for their summation
 SETTLED = 1e-9  # where motion decays as exp(-t / tau) for more than 25 tau: e^-25 = 1e-11 of the way there

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...physics.batch import Batch
-from ...physics.facets import solid_facets
-from ...physics.system import System
-from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, LinearDrag, Springs
-from ...physics.topology import rope_hinges
+from ..datasets.plugins import said
+from .batch import Batch
+from .facets import solid_facets
+from .system import System
+from .terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, LinearDrag, Springs, Term
+from .topology import rope_hinges
 
-__all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "run", "thrown"]
+__all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "fault", "run", "thrown"]
 
 G = 9.8  # m/s^2
+ROUNDING = 1e-11  # m, in float64
 # every law at its neutral value; the plane -z = -10 is out of reach
 NEUTRAL = dict(dashpot_damping=0.0, drag_damping=0.0, gravity_x=0.0, gravity_y=0.0, gravity_z=0.0, ground_offset=-10.0)
 TABLE = dict(ground_normal_z=1.0, ground_offset=0.0)  # z = 0, and what is above it
@@ -93,3 +95,17 @@ def thrown(term, share, table=True, *, roped=None):
 
 def run(*args, **options):
     return Batch([thrown(*args, **options)], fps=30, substeps=60, double=True, workers=1).rollout().positions[0].numpy()
+
+
+def fault(term: type[Term]) -> str | None:
+    """Why a term with an effect cannot be used, found by simulating the thrown body with it; None where it can."""
+    try:
+        without, none, some = run(term, None), run(term, 0.0), run(term, 1.0)
+    except Exception as error:  # of somebody else's law, its compiler's among them
+        return said(error)
+    if not np.isfinite(some).all():
+        return "a typical effect makes positions that are not finite"
+    # rounding: compilers may join multiplications and additions differently in another kernel
+    if not np.allclose(none, without, rtol=0, atol=ROUNDING):
+        return f"an effect of no size moves the thrown body by {np.abs(none - without).max():.2g} m"
+    return None
