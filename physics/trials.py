@@ -101,7 +101,9 @@ def fault(term: type[Term]) -> str | None:
     """Why a term with an effect cannot be used, found by simulating the thrown body with it; None where it can."""
     try:
         without, none, some = run(term, None), run(term, 0.0), run(term, 1.0)
-    except Exception as error:  # of somebody else's law, its compiler's among them
+    except Exception as error:  # of somebody else's law; Warp's compiler wraps what was wrong into where it was met
+        while error.__context__:
+            error = error.__context__
         return said(error)
     if not np.isfinite(some).all():
         return "a typical effect makes positions that are not finite"
