@@ -246,6 +246,34 @@ def test_asking_for_a_broken_plug_in_says_why_it_is_not_there(hostile, twinbench
     assert last.startswith("twinbench: ") and says in last
 
 
+CONFORM = {
+    "still": (0, "skipped: train frames matter: its twins are the same whatever the train frames show"),
+    "nowhere": (0, "skipped: a damaged file is named: there is no recording to open: name one with --data"),
+    "worst": (1, "failed: a frame with nothing to compare is NaN and has a reason: zero-size array to reduction operation"),
+    "scoring": (1, "failed: it has one number for each frame asked for: ZeroDivisionError: division by zero (scoring.py:4)"),
+    "fitting": (1, "failed: a roll out starts in frame 0 and covers every frame: fit must return a Twin, got NoneType"),
+    "bad": (1, "failed: matches never raises and recognises nothing in what is no recording: matches must not raise, but did"),
+    "raises": (2, "method 'raises' (raises 1.2, entry point twinbench.methods: raises) is left out: ZeroDivisionError"),
+    "stil": (2, "unknown name 'stil'; did you mean 'still'?"),
+    "phystwin": (2, "'phystwin' is a method and a layout: choose with --kind method, or --kind layout"),
+    "still --kind metric": (2, "unknown metric 'still'"),
+    "still --kind metrics": (2, "unknown kind 'metrics'; did you mean 'metric'?"),
+    "nowhere --data missing": (2, "no recordings at missing: no such file or folder"),
+}
+
+
+def test_conform_says_what_is_wrong(hostile, python):
+    script = "import sys; from twinbench.benchmark.cli import main; sys.stderr = sys.stdout; import twinbench\n"
+    script += "for said in sys.argv[1:]: print('>', said, flush=True); print('=', main(['conform', *said.split()]), flush=True)"
+    done = python("-c", script, *CONFORM)
+    assert done.returncode == 0 and "Traceback" not in done.stderr + done.stdout
+    for said in done.stdout.split("> ")[1:]:
+        name, *lines, end = said.strip().splitlines()
+        code, line = CONFORM[name]
+        assert end == f"= {code}", said
+        assert any(one.startswith(f"twinbench: {line}" if code == 2 else line) for one in lines), said
+
+
 def test_a_damaged_list_of_entry_points_is_one_warning(tmp_path, python):
     # in Python: the command line's own libraries look up entry points, too
     package(tmp_path / "site", "no-pairs", "[twinbench.methods]\nnot a pair\n")

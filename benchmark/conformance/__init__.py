@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 from ...datasets.plugins import unknown
@@ -40,7 +41,8 @@ KINDS = {"method": _methods, "metric": _metrics, "layout": _layouts, "term": _te
 
 def kind_of(name: str) -> str:
     """Which kind of thing is called ``name``. Raises ValueError where several are, or none, with why it is not there."""
-    found = [kind for kind, known in KINDS.items() if name in known()]
+    *light, last = KINDS  # terms need the engine
+    found = [kind for kind in light if name in KINDS[kind]()] or [kind for kind in (last,) if name in KINDS[kind]()]
     if len(found) > 1:
         raise ValueError(f"{name!r} is a {' and a '.join(found)}: choose with --kind {found[0]}, or --kind {found[1]}")
     if not found:
@@ -61,8 +63,6 @@ def conform(name: str, *, kind: str = "", data: str | Path | None = None) -> Ite
     ``data`` is a folder of recordings for a layout; without it, the ones that ship where it recognises them. Raises ValueError where
     nothing has that name.
     """
-    from . import layouts, methods, metrics, terms
-
     kind = kind or kind_of(name)
     if kind not in KINDS:
         raise unknown("kind", kind, KINDS)
@@ -70,13 +70,9 @@ def conform(name: str, *, kind: str = "", data: str | Path | None = None) -> Ite
     if name not in known:
         raise unknown(kind, name, known)
     thing = known[name]
-    if kind == "layout":
-        yield from outcomes(layouts.CHECKS, layouts.Subject(thing, _recordings(thing, data)))
-    elif kind == "term":
-        yield from outcomes(terms.CHECKS, thing)
-    else:
-        checks = {"method": methods, "metric": metrics}[kind]
-        yield from outcomes(checks.CHECKS, checks.Subject(thing))
+    checks = import_module(f".{kind}s", __package__)  # the engine only for those that need it
+    given = (_recordings(thing, data),) if kind == "layout" else ()
+    yield from outcomes(checks.CHECKS, thing if kind == "term" else checks.Subject(thing, *given))
 
 
 def _recordings(layout, data) -> Path | None:
