@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -20,7 +21,7 @@ from importlib.metadata import EntryPoints, distributions
 from inspect import isclass, ismodule
 from pathlib import Path
 
-__all__ = ["Broken", "Found", "Kind", "Origin", "discover", "nearest", "offered", "one_line", "said", "unknown", "warn"]
+__all__ = ["Broken", "Discovery", "Kind", "Origin", "discover", "nearest", "offered", "one_line", "said", "unknown", "warn"]
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}")  # columns, file names and options are made of it
 LONGEST = 400  # characters of a message
@@ -82,7 +83,7 @@ class Broken:
 
 
 @dataclass(frozen=True)
-class Found:
+class Discovery:
     """Everything of a kind by name, and where each comes from."""
 
     things: Mapping[str, object]
@@ -90,38 +91,29 @@ class Found:
 
 
 @cache
-def discover(kind: Kind) -> Found:
+def discover(kind: Kind) -> Discovery:
     """All of a kind: ours, then those of other packages in the order of the packages' names; looked up once a process.
 
     Of two with one name the first is kept.
     """
     things, origins, offers = {}, {}, []
     for names, origin, load in (*_own(kind), *_installed(kind)):
-        try:
+        listed = []
+        with _leaving_out(kind, list(names), origin):
             listed = _listed(kind, load(), needed=bool(origin.distribution))
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # of somebody else's code: SystemExit too
-            _leave_out(kind, names, origin, error)
-            continue
         for offer in listed:
-            called = names
-            try:
-                if any(offer is other for other in offers):  # listed twice
-                    continue
+            if any(offer is other for other in offers):  # listed twice
+                continue
+            with _leaving_out(kind, asked := list(names), origin):
                 thing = _thing(kind, offer)
                 name = _name(thing)
-                called = (*names, name)
+                asked.append(name)
                 if name in things:
                     raise ValueError(f"there is another {kind.noun} of that name ({origins[name]})")
                 things[name] = kind.accept(thing, origin, dict(things))
                 origins[name] = origin
                 offers.append(offer)
-            except KeyboardInterrupt:
-                raise
-            except BaseException as error:
-                _leave_out(kind, called, origin, error)
-    return Found(things, origins)
+    return Discovery(things, origins)
 
 
 def _own(kind: Kind) -> Iterator[tuple]:
@@ -205,10 +197,17 @@ def _name(thing) -> str:
     return name
 
 
-def _leave_out(kind: Kind, names: tuple[str, ...], origin: Origin, error: BaseException) -> None:
-    broken = Broken(kind.noun, tuple(one_line(name) for name in names), origin, said(error))
-    _left_out.append(broken)
-    warn(str(broken))
+@contextmanager
+def _leaving_out(kind: Kind, names: list[str], origin: Origin) -> Iterator[None]:
+    """Whatever is raised, SystemExit too for it is somebody else's code, leaves out what goes by ``names``, and no more."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        broken = Broken(kind.noun, tuple(one_line(name) for name in names), origin, said(error))
+        _left_out.append(broken)
+        warn(str(broken))
 
 
 def unknown(noun: str, name: str, choices: Iterable[str]) -> ValueError:
