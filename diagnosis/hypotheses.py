@@ -85,7 +85,7 @@ def catalogue() -> tuple[type[Term], ...]:
     for name, term in sorted(terms().items()):
         if term.effect is None:
             continue
-        if not hasattr(ours, term.__name__) and (wrong := fault(term)):  # it would be the end of every diagnosis
+        if getattr(ours, term.__name__, None) is not term and (wrong := fault(term)):  # it would be the end of every diagnosis
             warn(f"term {name!r} ({discover(KIND).origins[name]}) is no hypothesis: {wrong}")
         else:
             found.append(term)
