@@ -146,7 +146,7 @@ def measure(size: Size, device: str, method: str, parts: Sequence[str] = PARTS) 
 
 def _twin(clock, scenario, size, device, name):
     from ..methods.base import Budget
-    from ..methods.phystwin.config import SEARCHED
+    from ..methods.phystwin.ranges import SEARCHED
     from ..methods.registry import get_method
 
     method, observed = get_method(name), scenario.observed()

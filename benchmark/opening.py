@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 
 from ..datasets import collection as collections
-from ..datasets.collection import Collection, TransferPair, layouts, open_collection
+from ..datasets.collection import Collection, TransferPair, layouts, open_collection, recognises
 from ..datasets.scenario import Scenario
 from ..methods.modules import modules_of
 from .cache import Cache, digest
@@ -102,7 +102,7 @@ def open_recordings(path: str, *, split: str, cache: Cache) -> Opened:
 def description_origin(folder: Path, split: str) -> Origin:
     """What the description of a folder is made from: its listing, and the code of the layout that recognises it."""
     folder = Path(folder).resolve()
-    layout = next((layout for layout in layouts().values() if layout.matches(folder)), None)
+    layout = next((layout for layout in layouts().values() if recognises(layout, folder)), None)
     modules = modules_of(layout) if layout else (collections.__name__,)
     inputs = {"listing": listing(folder), "split": split, "code": SOURCES.files(*modules)}
     return Origin(inputs, {"folder": str(folder), "modules": list(modules)})

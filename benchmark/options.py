@@ -17,12 +17,12 @@ Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
 
 
 def known(kind: str, names: Iterable[str], choices: Iterable[str]) -> None:
-    """Raises ValueError, with the nearest choice, where one of ``names`` is none."""
-    from ..datasets.collection import nearest
+    """Raises ValueError, with the nearest choice or why it was left out, where one of ``names`` is none."""
+    from ..datasets.plugins import unknown
 
     for name in names:
         if name not in choices:
-            raise ValueError(f"unknown {kind} {name!r}; {nearest(name, choices)}")
+            raise unknown(kind, name, choices)
 
 
 def writable(path: Path, *, option: str = "--out") -> Path:
@@ -38,7 +38,10 @@ def writable(path: Path, *, option: str = "--out") -> Path:
 
 def first_line(thing) -> str:
     """Of a docstring: what a list says of it."""
-    return (thing.__doc__ or "").strip().split("\n")[0]
+    from ..datasets.plugins import one_line
+
+    doc = thing.__doc__
+    return one_line(doc.strip().split("\n")[0]) if isinstance(doc, str) else ""
 
 
 def chosen_methods(names: Iterable[str]) -> dict:
@@ -47,6 +50,7 @@ def chosen_methods(names: Iterable[str]) -> dict:
 
     found = methods()
     every = [name for name, method in found.items() if getattr(method, "room", "") == "methods"]  # a diagnosis takes as long as all others
+    names = [name for entry in names for name in entry.split(",")]
     return chosen("method", [one for name in names for one in (every if name == "all" else [name])], found)
 
 

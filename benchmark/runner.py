@@ -10,11 +10,12 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from ..datasets.plugins import unknown
 from ..datasets.scenario import Scenario
 from ..methods.base import Budget, Method, Trajectory, Twin
 from ..methods.modules import modules_of
 from ..methods.registry import methods as known_methods
-from ..metrics.base import Metric, scores
+from ..metrics.base import Metric, lacking, scores
 from .cache import Cache, digest
 from .checksum import Checksums, images_of, observed_of
 from .opening import Opened, folder_of
@@ -163,7 +164,10 @@ class Runner:
 
     def _found(self, name: str) -> Callable[[], Method]:
         """The method of that name among those of this run; or, as one of them builds on it, among all."""
-        return self.settings.methods.get(name) or known_methods()[name]
+        found = self.settings.methods.get(name) or (known := known_methods()).get(name)
+        if found is None:
+            raise unknown("method", name, known)
+        return found
 
     def _refuse(self, method: Method, scenarios: list[Scenario]) -> None:
         for scenario in scenarios:
@@ -198,6 +202,8 @@ class Runner:
             twin = method.fit(observed, budget=Budget(settings.preset), seed=fit.seed, device=settings.device, progress=report, **options)
             if not isinstance(twin, promised := _twin_class(method)):
                 raise TypeError(f"fit returned a {type(twin).__name__}, and twin_class of the method is {promised.__name__}")
+            if not isinstance(twin.note, str):
+                raise TypeError(f"a twin's note must be a string, got {twin.note!r}")
         about = {"fit_seconds": spent + time.perf_counter() - start, **peak_memory(), "note": twin.note}
         try:
             self.cache.write_folder("fits", origin.key, twin.save, about, origin.made)
@@ -236,8 +242,9 @@ class Runner:
             shown = self._shown(trajectory, wanted[0].target, method.appearance, report)
             for evaluation in wanted:
                 self._unseen.discard(evaluation)
-                row = self._row(self._score(shown, target, evaluation.task), about)
-                if shown.faults:
+                faults: dict[str, str] = {}
+                row = self._row(self._score(shown, target, evaluation.task, faults), about)
+                if shown.faults or faults:
                     self._unseen.add(evaluation)
                 yield evaluation, row
 
@@ -247,6 +254,8 @@ class Runner:
         with as_status():
             placed = twin.retarget(target.initial()) if transfer else twin
             trajectory = placed.rollout(target.controllers)
+            if not isinstance(trajectory, Trajectory) or np.asarray(trajectory.positions).dtype.kind != "f":
+                raise TypeError(f"rollout must return a Trajectory of floats, got {type(trajectory).__name__}")
             if len(trajectory.positions) != target.frame_count:
                 raise ValueError(f"the roll-out has {len(trajectory.positions)} frames, the controllers have {target.frame_count}")
         peaks = {name: max(value, about[name]) for name, value in peak_memory().items()}
@@ -263,7 +272,7 @@ class Runner:
 
         return Shown.of(trajectory, appearance)
 
-    def _score(self, trajectory: Shown, target: Scenario, task: str) -> dict:
+    def _score(self, trajectory: Shown, target: Scenario, task: str, faults: dict[str, str]) -> dict:
         wanted = frames(task, target.split)
         if not wanted:
             return {"status": "skipped", "reason": f"the recording has no frames for {task}"}
@@ -275,7 +284,7 @@ class Runner:
             target = replace(target, images=Recent(target.images))
         try:
             with as_status():
-                for name, result in scores(self.settings.metrics, trajectory, target, wanted).items():
+                for name, result in scores(self.settings.metrics, trajectory, target, wanted, faults=faults).items():
                     row |= {name: result.mean, f"{name}_unscorable": result.unscorable, f"{name}_reason": result.reason}
         except Stopped as stopped:
             return stopped.row
@@ -307,8 +316,11 @@ class Runner:
     def _modules(self, name: str) -> tuple[str, ...]:
         """The modules whose code makes a method's twins, with those of the method that it builds on."""
         found = self._found(name)
-        base = getattr(found, "builds_on", None)
-        return tuple(dict.fromkeys((*modules_of(found), *(self._modules(base) if base else ()))))
+        modules = [*modules_of(found)]
+        if base := getattr(found, "builds_on", None):
+            with suppress(ValueError):  # there is none: that is said where it is fitted
+                modules += self._modules(base)
+        return tuple(dict.fromkeys(modules))
 
     def origin(self, fit: Fit) -> Origin:
         """What a twin is made from."""
@@ -337,7 +349,7 @@ class Runner:
         origin, metrics = self.origin(fit), self.settings.metrics
         images = self._checksums[images_of(evaluation.target)] if self.settings.images else ""
         wanted = {name: metric for name, metric in metrics.items() if images or not metric.images}
-        available = [name for name, metric in wanted.items() if metric.unavailable() is None]  # not asked where there are no images
+        available = [name for name, metric in wanted.items() if lacking(metric) is None]  # not asked where there are no images
         shown = modules_of(self.settings.appearance()) if images else ()
         modules = tuple(dict.fromkeys(module for found in (*map(modules_of, metrics.values()), shown) for module in found))
         data = [*origin.subject["data"], evaluation.target, *([images_of(evaluation.target)] if images else [])]

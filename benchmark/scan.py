@@ -87,7 +87,7 @@ class _Reader:
             if looked_at:
                 self._note(node, at_once)
             at_once = at_once and not isinstance(node, _FUNCTIONS)
-            hidden = isinstance(node, ast.If) and _ends(node.test) == "TYPE_CHECKING"
+            hidden = _for_checkers(node)
             said.append(type(node).__name__)
             for field in node._fields:
                 value = getattr(node, field, None)
@@ -128,9 +128,16 @@ class _Reader:
                 yield Import(0, known[name], (attribute,), False)
 
 
-def _bound(tree: ast.Module) -> Iterator[str]:
-    for node in tree.body:
-        if isinstance(node, ast.Import | ast.ImportFrom):
+def _for_checkers(node: ast.AST) -> bool:
+    """Whether it is an ``if`` whose body type checkers alone look at."""
+    return isinstance(node, ast.If) and _ends(node.test) == "TYPE_CHECKING"
+
+
+def _bound(tree: ast.Module | ast.If) -> Iterator[str]:
+    for node in [*(() if _for_checkers(tree) else tree.body), *getattr(tree, "orelse", ())]:
+        if isinstance(node, ast.If):
+            yield from _bound(node)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
             yield from (alias.asname or alias.name.partition(".")[0] for alias in node.names)
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield node.name

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.machinery import EXTENSION_SUFFIXES
-from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from importlib.metadata import PackageNotFoundError, entry_points, packages_distributions, version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -30,7 +30,7 @@ __all__ = ["SOURCES", "Sources"]
 
 PACKAGE = __package__.partition(".")[0]
 # modules that look through a folder of the package at run time and use all that is there
-ALL_OF = {"diagnosis/hypotheses.py": "physics/terms"}  # a diagnosis tries every term that declares an effect
+ALL_OF = {"physics/catalogue.py": ("physics/terms", "twinbench.terms")}  # and the entry points of that group
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,10 @@ class Sources:
         for imported in scan.imports:
             if one.whole or imported.at_once:
                 reached += self._reached(one, imported)
-        if home == self._own and (folder := ALL_OF.get(home.label(one.file))):
+        if home == self._own and (all_of := ALL_OF.get(home.label(one.file))):
+            folder, group = all_of
             reached += [Reached(home, file) for file in sorted((home.folder / folder).glob("*.py"))]
+            reached += filter(None, (self._start(entry.module) for entry in sorted(entry_points(group=group))))
         return said, reached
 
     def present(self, *modules: str) -> dict[str, str] | None:

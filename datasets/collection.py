@@ -1,19 +1,21 @@
 """A collection is what a folder of recordings offers to the benchmark: scenarios by name, in-domain tasks and transfer pairs.
 
-A data set is one file in this folder that holds a ``LAYOUT``: an object with a ``name``, ``matches(path)`` and ``open(path, **options)``.
+A data set is one file in this folder that holds a ``LAYOUT``: an object with a ``name``, ``matches(path)`` and ``open(path, **options)``;
+or what the entry points ``twinbench.datasets`` of an installed package name, see ``plugins.py``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
+from .plugins import Kind, Origin, discover, nearest, said, warn
 from .scenario import Scenario, TransferPair
 
-__all__ = ["Collection", "Layout", "layouts", "nearest", "open_collection"]
+__all__ = ["Collection", "Layout", "layouts", "nearest", "open_collection", "recognises"]
 
 
 @dataclass(frozen=True)
@@ -43,9 +45,25 @@ class Collection:
         """Read one scenario. An unknown name raises ValueError with the nearest known one."""
         if name not in self.scenarios:
             raise ValueError(f"unknown scenario {name!r} in {self.name}; {nearest(name, self.scenarios)}")
-        return self.scenarios[name]()
+        with _as_input(f"scenario {name} of {self.name}"):
+            scenario = self.scenarios[name]()
+        if not isinstance(scenario, Scenario):
+            raise ValueError(f"scenario {name} of {self.name} must be read as a Scenario, got {type(scenario).__name__}")
+        return scenario
 
 
+@contextmanager
+def _as_input(what: str) -> Iterator[None]:
+    """Whatever else a reader raises, such as a KeyError, is a ValueError that says what could not be read."""
+    try:
+        yield
+    except (ValueError, OSError, ImportError):  # which say it themselves
+        raise
+    except Exception as error:
+        raise ValueError(f"{what} cannot be read: {said(error)}") from error
+
+
+@runtime_checkable
 class Layout(Protocol):
     """How the recordings of one source lie on disk."""
 
@@ -60,15 +78,28 @@ class Layout(Protocol):
         ...
 
 
+def _accept(layout: Layout, origin: Origin, known) -> Layout:
+    for call in ("matches", "open"):
+        if not callable(getattr(layout, call)):
+            raise ValueError(f"{call} must be a function, got {getattr(layout, call)!r}")
+    return layout
+
+
+KIND = Kind("layout", "twinbench.datasets", ("datasets",), ("LAYOUT", "LAYOUTS"), Layout, _accept, made=True)
+
+
 def layouts() -> dict[str, Layout]:
-    """Every layout found in this folder, by name."""
-    found = {}
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        if "LAYOUT" in file.read_text(encoding="utf-8"):
-            layout = getattr(import_module(f".{file.stem}", __package__), "LAYOUT", None)
-            if layout is not None:
-                found[layout.name] = layout
-    return found
+    """Every layout by name: ours, then those of other packages."""
+    return dict(discover(KIND).things)
+
+
+def recognises(layout: Layout, path: Path) -> bool:
+    """Whether ``layout`` matches ``path``; one that raises does not, and that is said once."""
+    try:
+        return bool(layout.matches(path))
+    except Exception as error:
+        warn(f"layout {layout.name!r} is passed over for {path}: matches() must not raise, but did: {said(error)}")
+        return False
 
 
 def open_collection(path: str | Path, *, split: str = "published") -> Collection:
@@ -85,18 +116,12 @@ def open_collection(path: str | Path, *, split: str = "published") -> Collection
         raise ValueError(f"no recordings at {path}: no such file or folder")
     known = layouts()
     for layout in known.values():
-        if layout.matches(path):
-            return layout.open(path, split=split)
-    inside = [f.name for f in sorted(path.iterdir()) if any(layout.matches(f) for layout in known.values())] if path.is_dir() else []
+        if recognises(layout, path):
+            with _as_input(f"{path}, which layout {layout.name!r} recognises,"):
+                found = layout.open(path, split=split)
+            if not isinstance(found, Collection):
+                raise ValueError(f"{path}: layout {layout.name!r} must open it as a Collection, got {type(found).__name__}")
+            return found
+    inside = [f.name for f in sorted(path.iterdir()) if any(recognises(layout, f) for layout in known.values())] if path.is_dir() else []
     hint = f"; but one recognises {', '.join(inside[:8])} in it" if inside else ""
     raise ValueError(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it{hint}")
-
-
-def nearest(name: str, known) -> str:
-    """'did you mean ...? known: ...' for an unknown ``name``."""
-    from difflib import get_close_matches
-
-    known = [str(k) for k in known]
-    close = get_close_matches(str(name), known, n=1, cutoff=0.5)
-    shown = ", ".join(known[:30]) + (f" and {len(known) - 30} more" if len(known) > 30 else "")
-    return (f"did you mean {close[0]!r}? " if close else "") + f"known: {shown}"

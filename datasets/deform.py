@@ -37,7 +37,10 @@ class Deform:
 
     def matches(self, path: Path) -> bool:
         """A folder DLO* with pickles under train/ and eval/."""
-        return re.match(r"DLO\d", path.resolve().name) is not None and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+        try:
+            return re.match(r"DLO\d", path.resolve().name) is not None and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+        except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
+            return False
 
     def open(self, path: Path, *, split: str = "published") -> MarkerCollection:
         """One twin on the training recordings, scored on every eval recording. Markers 0, 1, -2 and -1 are held by the robots."""

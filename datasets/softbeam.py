@@ -148,7 +148,10 @@ class Softbeam:
 
     def matches(self, path: Path) -> bool:
         """A .c3d file or a folder that holds some."""
-        return path.suffix == ".c3d" or any(path.glob("*.c3d"))
+        try:
+            return path.suffix == ".c3d" or any(path.glob("*.c3d"))
+        except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
+            return False
 
     def open(self, path: Path, *, split: str = "published") -> Collection:
         """Every file is a scenario fitted on 70 % of its frames; takes with the same load are transfer pairs of each other.

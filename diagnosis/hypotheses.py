@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -11,8 +9,11 @@ from itertools import product
 
 import numpy as np
 
-from ..physics import terms as room
+from ..datasets.plugins import discover, warn
+from ..physics import terms as ours
+from ..physics.catalogue import KIND, terms
 from ..physics.terms.base import Term
+from ..physics.trials import fault
 from .locate import peaks
 from .model import Knob, Simulator
 from .replica import spread_out
@@ -79,10 +80,16 @@ class Hypothesis:
 
 @cache
 def catalogue() -> tuple[type[Term], ...]:
-    """Every term that declares an effect, by name."""
-    modules = [importlib.import_module(f"{room.__name__}.{m.name}") for m in pkgutil.iter_modules(room.__path__)]
-    found = {v for m in modules for v in vars(m).values() if isinstance(v, type) and issubclass(v, Term) and v.effect}
-    return tuple(sorted(found, key=lambda t: t.name))
+    """Every term that declares an effect, by name. One that nobody has tested, of another package or a new file, is tried first."""
+    found = []
+    for name, term in sorted(terms().items()):
+        if term.effect is None:
+            continue
+        if getattr(ours, term.__name__, None) is not term and (wrong := fault(term)):  # it would be the end of every diagnosis
+            warn(f"term {name!r} ({discover(KIND).origins[name]}) is no hypothesis: {wrong}")
+        else:
+            found.append(term)
+    return tuple(found)
 
 
 def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray) -> list[Hypothesis]:

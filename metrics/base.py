@@ -1,7 +1,8 @@
-"""What a metric is, how one is averaged over frames, and how the metrics of this folder are found.
+"""What a metric is, how one is averaged over frames, and how metrics are found.
 
 A metric is one file in this folder that holds a ``METRIC``: an instance of a :class:`Metric`; or ``METRICS``, a tuple of them, where one
-formula is applied as published and as it should be.
+formula is applied as published and as it should be; or what the entry points ``twinbench.metrics`` of an installed package name, see
+``datasets/plugins.py``.
 """
 
 from __future__ import annotations
@@ -9,16 +10,20 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
-from pathlib import Path
 from typing import Literal, Protocol, overload
 
 import numpy as np
 
-from ..datasets.collection import nearest
+from ..datasets.plugins import Kind, Origin, discover, one_line, said, unknown
 from ..datasets.scenario import Camera, Scenario
 
-__all__ = ["Metric", "Prediction", "Rendered", "Score", "Unscorable", "get_metric", "metrics", "score", "scores"]
+__all__ = ["Metric", "Prediction", "Rendered", "Score", "Unscorable", "get_metric", "lacking", "metrics", "score", "scores"]
+
+# what rows say beside their metrics, so that no metric can be called so
+_COLUMNS = """collection scenario sources method task seed preset split appearance data_checksum code_checksum status reason diverged_frame
+note frames
+fit_seconds rollout_seconds peak_memory_mib peak_device_memory_mib device commit python numpy torch warp twinbench date"""
+COLUMNS = frozenset(_COLUMNS.split())
 
 
 class Unscorable(ValueError):
@@ -155,21 +160,54 @@ def score(metric, prediction, scenario, frames=None):
     return values if several else values[found[0].name]
 
 
-def scores(metrics: Mapping[str, Metric], prediction: Prediction, scenario: Scenario, frames: Sequence[int]) -> dict[str, Score]:
+def lacking(metric: Metric) -> str | None:
+    """Why ``metric`` has no value for any recording here, or None. One that raises when it is asked has none."""
+    try:
+        return metric.unavailable()
+    except Exception as error:
+        return said(error)
+
+
+def scores(
+    metrics: Mapping[str, Metric],
+    prediction: Prediction,
+    scenario: Scenario,
+    frames: Sequence[int],
+    *,
+    faults: dict[str, str] | None = None,
+) -> dict[str, Score]:
     """Average each of ``metrics`` over ``frames``, as ``score`` does. Those that look at images go through the frames side by side, so that
     a prediction that keeps its last image makes each once for all of them.
+
+    Where ``faults`` is given, a metric that raises has no value, and what it said is put there under its name; the others go on.
     """
-    missing = {name: None if metric.images and scenario.images is None else metric.unavailable() for name, metric in metrics.items()}
+    missing = {name: None if metric.images and scenario.images is None else lacking(metric) for name, metric in metrics.items()}
     values = {name: np.full(len(frames), np.nan) for name in metrics}
-    for name, metric in metrics.items():
-        if not (missing[name] or metric.images):
-            values[name] = metric(prediction, scenario, frames)
-    for i, frame in enumerate(frames):
-        for name, metric in metrics.items():
-            if metric.images and not missing[name]:
-                values[name][i : i + 1] = metric(prediction, scenario, [frame])
     finite = bool(np.isfinite(prediction.positions[np.asarray(frames, int)]).all())
-    return {name: _average(metric, values[name], missing[name], finite, prediction, scenario, frames) for name, metric in metrics.items()}
+
+    def fill(name, these):
+        if not missing[name]:
+            values[name][these] = metrics[name](prediction, scenario, frames[these])
+
+    def average(name):
+        return _average(metrics[name], values[name], missing[name], finite, prediction, scenario, frames)
+
+    def guarded(work, name, *given):
+        if faults is None:
+            return work(name, *given)
+        try:
+            return work(name, *given)
+        except Exception as error:
+            values[name][:] = np.nan
+            missing[name] = faults[name] = said(error)
+            return average(name)
+
+    for name in (name for name, metric in metrics.items() if not metric.images):
+        guarded(fill, name, slice(None))
+    for i in range(len(frames)):
+        for name in (name for name, metric in metrics.items() if metric.images):
+            guarded(fill, name, slice(i, i + 1))
+    return {name: guarded(average, name) for name in metrics}
 
 
 def _average(metric, values, missing, finite, prediction, scenario, frames) -> Score:
@@ -181,19 +219,32 @@ def _average(metric, values, missing, finite, prediction, scenario, frames) -> S
     return Score(mean, len(values), int((~scorable).sum()), reason)
 
 
+def _accept(metric: Metric, origin: Origin, known) -> Metric:
+    if metric.name in COLUMNS or metric.name.endswith(("_unscorable", "_reason")):
+        raise ValueError(f"its name must not be {metric.name!r}, which is a column of results")
+    if metric.direction not in ("lower", "higher"):
+        raise ValueError(f"direction must be 'lower' or 'higher', got {metric.direction!r}")
+    if not (isinstance(metric.unit, str) and metric.unit == one_line(metric.unit)):
+        raise ValueError(f"unit must be a string, '' for a ratio, got {metric.unit!r}")
+    if type(metric.version) is not int or metric.version < 1:
+        raise ValueError(f"version must be a whole number >= 1, got {metric.version!r}")
+    for flag in ("images", "pooled"):
+        if not isinstance(getattr(metric, flag), bool):
+            raise ValueError(f"{flag} must be True or False, got {getattr(metric, flag)!r}")
+    return metric
+
+
+KIND = Kind("metric", "twinbench.metrics", ("metrics",), ("METRIC", "METRICS"), Metric, _accept, made=True)
+
+
 def metrics() -> dict[str, Metric]:
-    """Every metric found in this folder, by name; those of images come last."""
-    found: list[Metric] = []
-    for file in sorted(Path(__file__).parent.glob("*.py")):
-        if file != Path(__file__) and "METRIC" in file.read_text(encoding="utf-8"):
-            module = import_module(f".{file.stem}", __package__)
-            found += [module.METRIC] if hasattr(module, "METRIC") else getattr(module, "METRICS", ())
-    return {metric.name: metric for metric in sorted(found, key=lambda metric: metric.images)}
+    """Every metric by name, ours, then those of other packages; those of images come last."""
+    return dict(sorted(discover(KIND).things.items(), key=lambda item: item[1].images))
 
 
 def get_metric(name: str) -> Metric:
     """The metric called ``name``. An unknown name raises ValueError with the nearest known one."""
     known = metrics()
     if name not in known:
-        raise ValueError(f"unknown metric {name!r}; {nearest(name, known)}")
+        raise unknown("metric", name, known)
     return known[name]

@@ -98,12 +98,10 @@ def test_a_file_that_the_example_cannot_read_is_named(python, tracks, copy):
     python("-c", script, "run", "--data", bad, "--methods", "static")
 
 
-def test_the_method_passes_what_every_method_must_do(python, copy):
-    tests = copy.parent / "tests"
-    tests.mkdir()
-    shutil.copy(ROOT / "tests" / "test_methods_conformance.py", tests)
-    printed = python("-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", tests, "-k", "follow")
-    assert int(re.search(r"(\d+) passed", printed)[1]) >= 5
+@pytest.mark.parametrize("name", ["follow", "worst_point", "npz_tracks", pytest.param("cubic_drag", marks=pytest.mark.slow)])
+def test_examples_do_what_all_of_their_kind_must_do(python, tracks, name):
+    printed = python(*CLI, "conform", name, *(["--data", tracks] if name == "npz_tracks" else []))
+    assert int(re.search(rf"{name}: (\d+) passed", printed)[1]) >= 7 and "failed" not in printed
 
 
 def test_the_metric_says_what_its_example_says(python):
@@ -137,6 +135,6 @@ def test_the_tests_of_an_example_can_fail(python, copy):
         file.write_text(right)
 
 
-@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:\w+/)+[\w.]*)`?", TEXT))))
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"`((?:\w+/)+[\w.-]*)`?", TEXT))))
 def test_named_files_exist(path):
     assert path in FILES or (ROOT / path).exists()

@@ -82,8 +82,11 @@ def test_importing_twinbench_is_cheap():
     assert not heavy & loaded("import twinbench")
 
 
-def test_finding_methods_imports_no_engine():
-    assert not {"torch", "warp", "cma"} & loaded("from twinbench.methods.registry import methods\nmethods()")
+def test_finding_methods_metrics_and_layouts_imports_no_engine():
+    everything = "from twinbench.datasets.collection import layouts\nfrom twinbench.metrics.base import metrics\n"
+    everything += "from twinbench.methods.registry import methods\nassert all(map(len, (layouts(), metrics(), methods())))"
+    heavy = {"torch", "torch_geometric", "warp", "cma", "lpips", "scipy", "pandas", "cv2", "skimage", "open3d", "ezc3d"}
+    assert not heavy & loaded(everything)
 
 
 def test_the_public_names_are_there():

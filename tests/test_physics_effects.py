@@ -3,16 +3,12 @@
 The step is semi-implicit: v <- v + dt F(x, v) / m, then x <- x + dt v. Where its own solution is known it is matched to rounding.
 """
 
-import importlib
-import pkgutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import twinbench.physics.terms as rooms
-from scipy.spatial.transform import Rotation
 from twinbench.physics.batch import Batch
-from twinbench.physics.facets import solid_facets
+from twinbench.physics.catalogue import terms
 from twinbench.physics.system import System
 from twinbench.physics.terms import (
     AddedMass,
@@ -20,58 +16,33 @@ from twinbench.physics.terms import (
     Anisotropy,
     CompressionSoftening,
     ControllerDelay,
-    ControllerSprings,
-    Dashpot,
     Gravity,
     GravityTilt,
     GripCompliance,
     GripPoints,
-    Ground,
     GroundAdhesion,
     GroundPose,
     HiddenObstacle,
     HiddenTether,
-    LinearDrag,
     QuadraticDrag,
     RestShape,
     SecondHand,
     SelfCollision,
-    Springs,
     StiffnessField,
     StrainStiffening,
     StribeckGround,
-    Term,
     Wind,
 )
 from twinbench.physics.terms.directional_ground import DirectionalGround
 from twinbench.physics.terms.mass_field import MassField
 from twinbench.physics.terms.soft_ground import SoftGround
 from twinbench.physics.terms.stiffness_level import StiffnessLevel
-from twinbench.physics.topology import rope_hinges
+from twinbench.physics.trials import STILL, TABLE, G, body, run, thrown
 
 ROUNDING = 1e-11  # at most 1e4 steps of numbers of order 1, each rounded by 2^-53 = 1.1e-16, with a margin for their summation
 SETTLED = 1e-9  # where motion decays as exp(-t / tau) for more than 25 tau: e^-25 = 1e-11 of the way there
-G = 9.8
-# every law at its neutral value; the plane -z = -10 is out of reach
-NEUTRAL = dict(dashpot_damping=0.0, drag_damping=0.0, gravity_x=0.0, gravity_y=0.0, gravity_z=0.0, ground_offset=-10.0)
-TABLE = dict(ground_normal_z=1.0, ground_offset=0.0)  # z = 0, and what is above it
-STILL = np.zeros((1, 0, 3))  # a path of no controllers
-AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
+EFFECTS = [term for term in terms().values() if term.effect]
 
-
-def body(positions, *extra, springs=(), stiffness=(), controllers=STILL, velocities=None, **options):
-    """A system of which only what is given here acts: ``extra`` terms, values of parameters, other fields of a system."""
-    given = {k: options.pop(k) for k in ("masses", "rest", "grips", "seen", "hinges", "chains", "facets") if k in options}
-    kinds = [k for k in AIR if not (k is Ground and any(e.stage == "move" for e in extra))]
-    return System(
-        positions=np.atleast_2d(positions),
-        velocities=None if velocities is None else np.atleast_2d(velocities),
-        springs=np.reshape(springs, (-1, 2)),
-        stiffness=stiffness,
-        controllers=controllers,
-        terms=[k() for k in (*kinds, *extra)],
-        **given,
-    ).with_values(**{**NEUTRAL, **options})
 
 
 def steps(system, dt, count):
@@ -554,14 +525,6 @@ def test_a_softer_hold_sags_further():
 # ---------------------------------------------------------------- what effects say about themselves
 
 
-def found_effects():
-    """Every term in the folder that says what its lack means."""
-    modules = [importlib.import_module(f"{rooms.__name__}.{m.name}") for m in pkgutil.iter_modules(rooms.__path__)]
-    found = {v for m in modules for v in vars(m).values() if isinstance(v, type) and issubclass(v, Term) and v.effect}
-    return sorted(found, key=lambda term: term.name)
-
-
-every_effect = pytest.mark.parametrize("term", found_effects(), ids=lambda t: t.name)
 # fmt: off
 KNOWN = {
     "quadratic_drag", "plate_drag", "wind", "gravity_tilt", "strain_stiffening", "compression_softening", "anisotropy", "bending",
@@ -572,103 +535,14 @@ KNOWN = {
 # fmt: on
 
 
-@every_effect
-def test_what_an_effect_says_holds_together(term):
-    effect, own = term.effect, {p.name: p for p in term.parameters}
-    assert effect.name in KNOWN and effect.says and effect.motion
-    assert effect.amplitudes and set(effect.typical) == set(effect.amplitudes)
-    assert any(effect.typical.values())
-    for name in effect.amplitudes:
-        p = own[name]
-        assert p.low <= 0 <= p.high and p.low <= effect.typical[name] <= p.high and p.scale == "linear"
-        assert p.value == 0 or term is SelfCollision  # absent unless asked for; contacts are the published twin's, with its distance
-    for name, values in effect.shapes.items():
-        assert name not in effect.amplitudes and all(own[name].low <= value <= own[name].high for value in values)
-    assert not effect.place or {f"{effect.place}_{axis}" for axis in "xyz"} <= set(own)
-    assert all(own[f"{effect.place}_{axis}"].unit == "m" for axis in "xyz" if effect.place)
-    assert not effect.within or (effect.place and own[effect.within].unit == "m" and own[effect.within].low > 0)
-
-
-def wound(share):
-    """(9, 3) a curved rope [m], and (T, 4, 3) hands at its first two and last two nodes, of which the latter lead it through the air and
-    turn it, by ``share`` (T,) of the way."""
-    s = np.linspace(0, 1, 9)
-    x = np.stack([0.48 * s, 0.3 + 0.06 * np.sin(3 * s), 0.3 + 0.06 * np.cos(4 * s)], 1)
-    hands = np.repeat(x[None, [0, 1, -2, -1]], len(share), 0)
-    hands[:, 2:] = x[-1] + share[:, None, None] * [-0.08, 0.06, -0.04]
-    hands[:, 2] += Rotation.from_rotvec(share[:, None] * [1.0, -0.6, 0.8]).apply(x[-2] - x[-1])
-    return x, hands
-
-
-def thrown(term, share, table=True, *, roped=None):
-    """A random body thrown at a table, a corner of it in a hand, with ``term`` at a ``share`` of its typical size, or without it (None).
-
-    A rope moves beside it if ``roped``: unless told, where the term is one of hinges, of which the random body has none.
-    """
-    rng = np.random.default_rng(0)
-    frames, count = 11, 30
-    x = rng.random((count, 3)) * 0.1 + [0, 0, 0.003]
-    springs = np.argwhere(np.triu(np.linalg.norm(x[:, None] - x[None], axis=2) < 0.05, 1))
-    path = np.linspace(0, 1, frames)
-    hand = x[:1] + [0.0, 0.0, 0.02] + path[:, None, None] ** 2 * [0.05, 0.02, 0.05]
-    near = np.argsort(np.linalg.norm(x - hand[0], axis=1))[:5]
-    speed, grips, hinged = rng.normal(size=x.shape) * 0.3, [-1], {}
-    if term.stage == "hinge" if roped is None else roped:
-        rope, held = wound(path**2)
-        chain = count + np.arange(len(rope))
-        x, speed, hand = np.concatenate([x, rope]), np.concatenate([speed, 0 * rope]), np.concatenate([hand, held], 1)
-        springs = np.concatenate([springs, np.stack([chain[:-1], chain[1:]], 1)])
-        grips, hinged = [-1, *chain[[0, 1, -2, -1]]], dict(hinges=rope_hinges(chain), chains=[chain])
-    ties = [[len(x), k] for k in near]
-    seen = x + path[:, None, None] * [0.0, 0.03, 0.02]
-    extra = () if share is None else (term,)
-    stiff = np.full(len(springs) + len(ties), 40.0)
-    plane = {"adhesion_normal_z": 1.0} if extra == (GroundAdhesion,) else {}
-    values = dict(gravity_z=-G, dashpot_damping=0.5, drag_damping=1.0, collide_elas=0.2, **(TABLE if table else {}), **plane)
-    if extra and term.effect:
-        values |= {name: share * value for name, value in term.effect.typical.items()}
-    if term in AIR:
-        extra = ()
-    given = dict(
-        springs=[*springs.tolist(), *ties],
-        stiffness=stiff,
-        masses=np.full(len(x), 0.02),  # with one kilogram each, springs would hang at twice their length
-        controllers=hand,
-        velocities=speed,
-        grips=grips,
-        seen=seen,
-        facets=solid_facets(x[:count], radius=0.1),
-        **hinged,
-    )
-    return body(x, *extra, **given, **values)
-
-
-def run(*args, **options):
-    return Batch([thrown(*args, **options)], fps=30, substeps=60, double=True, workers=1).rollout().positions[0].numpy()
-
-
-@every_effect
-def test_an_effect_of_no_size_changes_nothing_and_a_typical_one_does(term):
-    # rounding: compilers may join multiplications and additions differently in another kernel
-    without, none, some = run(term, None), run(term, 0.0), run(term, 1.0)
-    np.testing.assert_allclose(none, without, rtol=0, atol=1e-11)
-    assert np.isfinite(some).all() and np.abs(some - without).max() > 1e-4  # m: a tenth of what a depth camera sees
-
-
-@pytest.mark.parametrize("term", [t for t in found_effects() if t not in (SelfCollision, SoftGround)], ids=lambda t: t.name)
-def test_a_small_effect_is_nearly_linear(term):
-    # twice the size, twice the change, within a tenth: at 2 % of a typical effect in the air; at 0.002 % on the table, where one bounce
-    # more is a jump; at 0.2 % in a slack rope, which 2 % of a typical stiffness already bend into another shape, by 6 mm. Self-contact is
-    # left out, for particles meet or they do not, and a pad thinner than the way of a substep, which is missed
-    scale = 1e-5 if term.stage == "move" or term in (GroundAdhesion, GroundPose) else 1e-3 if term.stage == "hinge" else 1e-2
-    none, one, two = (run(term, share * scale, scale < 1e-4) for share in (0, 1, 2))
-    assert np.linalg.norm((two - none) - 2 * (one - none)) < 0.1 * np.linalg.norm(two - none)
-    assert np.abs(two - none).max() > 1e-9
+def test_effects_have_names_that_are_known():
+    # what each effect does is tested in test_terms_conformance.py
+    assert {term.effect.name for term in EFFECTS} <= KNOWN
 
 
 def test_all_effects_at_once():
     # any two may be combined, in one list and with uneven stiffness: of no size they change nothing, at a tenth of the typical one all act
-    kinds = [t for t in found_effects() if t is not SelfCollision and t.stage != "move"] + [StiffnessField]
+    kinds = [t for t in EFFECTS if t is not SelfCollision and t.stage != "move"] + [StiffnessField]
     plain = thrown(GravityTilt, None, roped=True)
     together = replace(plain, terms=[*plain.terms, *(k() for k in kinds)]).with_values(adhesion_normal_z=1.0)
     typical = {name: 0.1 * value for k in kinds if k.effect for name, value in k.effect.typical.items()}

@@ -1,20 +1,24 @@
-"""Gradients of roll-outs against central differences in float64, for every input and for every parameter of every term there is."""
+"""Gradients of roll-outs against central differences in float64, for every input; of terms' parameters: test_terms_conformance.py."""
 
 import gc
-import importlib
-import pkgutil
 import weakref
-from dataclasses import fields
 
 import numpy as np
 import pytest
 import torch
 import twinbench.physics.batch as engine
-import twinbench.physics.terms as rooms
+from twinbench.benchmark.conformance.gradients import (
+    AIR,
+    FRAMES,
+    NAMES,
+    batch_of,
+    check,
+    leaves,
+    loss,
+    some,
+)
 from twinbench.physics import march
 from twinbench.physics.batch import Batch, Inputs
-from twinbench.physics.facets import solid_facets
-from twinbench.physics.hinges import natural_curvature
 from twinbench.physics.system import System
 from twinbench.physics.terms import (
     Bending,
@@ -28,155 +32,18 @@ from twinbench.physics.terms import (
     Pressure,
     SelfCollision,
     Springs,
-    Term,
     Torsion,
 )
 from twinbench.physics.terms.grip_slip import GripSlip
 from twinbench.physics.terms.plasticity import Plasticity
 from twinbench.physics.terms.viscoelastic import Viscoelastic
-from twinbench.physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 
-PARTICLES, FRAMES, SUBSTEPS = 40, 4, 25  # 100 substeps
-ROPE = 6  # particles
-NAMES = [f.name for f in fields(Inputs)]
-AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
 ROD = (*AIR, Bending, BendingDamping, Torsion)
 MEMORIES = (*AIR, Plasticity, SelfCollision, Viscoelastic, GripSlip)
 KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "memories too": MEMORIES}
 KINDS |= {"ground and hinges": ROD, "all": (*MEMORIES, Bending, BendingDamping, Torsion, PlateDrag, Pressure)}
 every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
 HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
-VALUES = dict(
-    observer_bandwidth=3.0,
-    dashpot_damping=5.0,
-    gravity_x=1.0,
-    collision_dist=0.03,
-    controller_velocity=0.7,
-    ground_offset=0.003,
-    ground_normal_x=0.1,
-    far_share=0.7,
-    far_reach=0.025,
-    brace_share=0.7,
-    told_gravity_x=1.0,
-    told_gravity_z=-9.8,
-)
-READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
-REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035
-
-
-def found_terms():
-    """Every term in the folder, also one that nobody imports."""
-    modules = [importlib.import_module(f"{rooms.__name__}.{m.name}") for m in pkgutil.iter_modules(rooms.__path__)]
-    found = {v for m in modules for v in vars(m).values() if isinstance(v, type) and issubclass(v, Term) and hasattr(v, "name")}
-    return sorted(found, key=lambda term: term.name)
-
-
-def kinds_with(term):
-    """The usual terms and ``term``, in place of its rival at a stage that takes one."""
-    rivals = {t for t in AIR if t.stage == term.stage and t.stage in ("move", "contact")}
-    readers = [READ_BY[term.name]] if term.name in READ_BY else []
-    return AIR if term in AIR else (*(t for t in AIR if t not in rivals), *readers, term)
-
-
-def make(kinds, *, grip=True, count=PARTICLES, seed=0):
-    """A body thrown at the table, held by a grip and pulled by a hand: masses, rest lengths and stiffness all differ; a rope is in it."""
-    rng = np.random.default_rng(seed)
-    points = rng.random((count, 3)) * 0.08
-    points[-ROPE:] = 0.005 + 0.011 * np.arange(ROPE, 0, -1)[:, None] + points[-ROPE:] * 0.05
-    points[0] = -0.006 + points[0] * 0.05
-    points[:, 2] -= 0.083
-    path = points[None, :2] + np.cumsum(rng.normal(size=(FRAMES, 2, 3)) * 0.003, 0)
-    path[0] = points[:2]
-    path[:, 1] += [0.0, 0.01, -0.01]
-    ties = controller_springs(path[0, 1:], points, radius=0.05, max_neighbours=6)
-    ties[:, 0] = count + 1
-    reach = max([REACH.get(k.name, 0.035) for k in kinds])
-    springs = np.concatenate([object_springs(points, radius=reach, max_neighbours=10), ties])
-    nodes = np.concatenate([points, path[0]])
-    # a rope through the body, held at its end, and hinges that follow no rope
-    rope = np.append(np.arange(count - ROPE, count), 0)
-    hinges = np.concatenate([rope_hinges(rope), sheet_hinges(points[: count - ROPE], springs, straight=60)])
-    rest = np.linalg.norm(nodes[springs[:, 0]] - nodes[springs[:, 1]], axis=1) * rng.uniform(0.9, 1.1, len(springs))
-    values = VALUES | {name: value for k in kinds if k.effect for name, value in k.effect.typical.items()}
-    terms = [k({p.name: values[p.name] for p in k.parameters if p.name in values}) for k in kinds]
-    seen = points + np.cumsum(rng.normal(size=(FRAMES, count, 3)) * 0.003, 0)
-    seen[2, ::3] = np.nan
-    return System(
-        positions=points,
-        velocities=rng.normal(size=points.shape) * 0.3 + [0.2, 0.0, 0.3],
-        masses=rng.uniform(0.5, 2, count),
-        springs=springs,
-        rest=rest,
-        stiffness=rng.uniform(50, 100, len(springs)),
-        controllers=path,
-        grips=[0, -1] if grip else None,
-        seen=seen,
-        hinges=hinges,
-        natural=natural_curvature(nodes, hinges, [rope]) * rng.uniform(0.5, 1.5, (len(hinges), 1)),
-        flexure=rng.uniform(0.5, 2, len(hinges)),
-        chains=[rope],
-        facets=solid_facets(points, radius=0.1),
-        terms=terms,
-    )
-
-
-def batch_of(kinds, *, grip=True, double=True, seeds=(8, 12)):
-    # with other seeds a contact begins or a spring yields within h of the start: a jump, no derivative
-    return Batch([make(kinds, grip=grip, seed=s) for s in seeds], fps=30, substeps=SUBSTEPS, double=double, workers=1)
-
-
-def leaves(batch):
-    return Inputs(**{n: getattr(batch.inputs, n).clone().requires_grad_() for n in NAMES})
-
-
-def loss(batch, inputs, *, frame=0, frames=FRAMES):
-    """A weighted sum of the particles' positions at every frame and of the final state: every output counts."""
-    generator = torch.Generator().manual_seed(0)
-    out, x, v, carried = batch.march(frame, frames, inputs, whole=True)
-    total = 0.0
-    for values, scale in ((out, 1.0), (x[None], 1.0), (v[None], 0.01)):
-        for part in batch.split(values):
-            total = total + scale * (part * torch.randn(part.shape, dtype=torch.float64, generator=generator)).sum()
-    if batch.hinged:
-        weight = torch.randn(carried.directors.shape, dtype=torch.float64, generator=generator)
-        total = total + 0.01 * (carried.directors * weight).sum()
-    return total
-
-
-def central_difference(batch, inputs, name, index, **window):
-    """(L(u + h) - L(u - h)) / 2h for one number u."""
-    values = {n: getattr(inputs, n).detach().clone() for n in NAMES}
-    flat = values[name].view(-1)
-    u = abs(flat[index].item())
-    h = min(1e-7 * max(0.1, u), 1e-6 * u if name == "table" and u else 1.0)  # some parameters are small
-    h = {"directors": 1e-6, "memory": 1e-7}.get(name, h)  # which matter little: rounding counts
-    sides = []
-    with torch.no_grad():
-        for sign in (1, -1):
-            flat[index] += sign * h
-            sides.append(loss(batch, Inputs(**values), **window).item())
-            flat[index] -= sign * h
-    return (sides[0] - sides[1]) / (2 * h)
-
-
-def check(batch, inputs, name, indices, **window):
-    """Relative error below 1e-4, relative to the number itself or to a thousandth of the largest of its kind.
-
-    h = 1e-7 of a number of order 0.1 to 100: truncation h^2 and rounding 1e-15 |L| / h = 1e-8 |L| are both far below.
-    """
-    gradient = getattr(inputs, name).grad.flatten()
-    for i in indices:
-        expected = central_difference(batch, inputs, name, int(i), **window)
-        scale = max(abs(expected), 1e-3 * gradient.abs().max().item(), 1e-6)
-        which = batch.columns[i % len(batch.columns)] if name == "table" else int(i)
-        assert abs(gradient[i].item() - expected) < 1e-4 * scale, f"{name} {which}"
-
-
-def some(gradient, count=6):
-    """Indices of the ``count`` largest and of ``count`` others."""
-    order = torch.argsort(-gradient.abs().flatten())
-    rest = order[count:][torch.randperm(max(0, len(order) - count), generator=torch.Generator().manual_seed(1))]
-    return torch.cat([order[:count], rest[:count]]).tolist()
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "table"])
@@ -191,18 +58,6 @@ def test_gradient_of_every_input(kinds, grip, name):
     gradient = getattr(inputs, name).grad
     assert (gradient.abs().max() > 0) == (name != "memory" or batch.remembering)
     check(batch, inputs, name, some(gradient))
-
-
-@pytest.mark.parametrize("term", found_terms(), ids=lambda t: t.name)
-def test_gradient_of_every_parameter_of_every_term(term):
-    batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
-    inputs = leaves(batch)
-    loss(batch, inputs).backward()
-    columns = [batch.column(p.name) for p in term.parameters]
-    width = len(batch.columns)
-    check(batch, inputs, "table", [row * width + c for row in range(2) for c in columns])
-    if columns:  # the roll-out feels the term, or the comparison would be one of zeros
-        assert inputs.table.grad[:, columns].abs().max() > 1e-6
 
 
 def test_a_window_that_starts_late_and_outlasts_the_path():

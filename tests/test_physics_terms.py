@@ -1,101 +1,30 @@
-"""What every term must do, tested over every term in the folder; how the laws of a list of terms are fused."""
+"""Terms and their parameters; how the laws of a list of terms are fused. What every term must do is in test_terms_conformance.py."""
 
-import importlib
-import inspect
-import pkgutil
 import re
-from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-import twinbench.physics.terms as rooms
 import warp as wp
 from twinbench.physics.batch import Batch
+from twinbench.physics.catalogue import terms
 from twinbench.physics.laws import Laws
 from twinbench.physics.parameters import Parameter
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
 from twinbench.physics.terms.base import STAGES, Term
 
-SAMPLES, OFFSET = 500, 2  # the term's parameters do not come first in their stage's vector
-INPUTS = {
-    "axial": ("length", "rate", "rest", "stiffness"),
-    "strand": ("length", "rate", "rest", "stiffness", "link", "middle", "t", "q"),
-    "hinge": ("kappa", "rate", "natural", "span"),
-    "facet": ("area", "v", "m", "swell", "dt"),
-    "body": ("x", "v", "home", "m"),
-    "observer": ("x", "v", "home", "y", "u", "m"),
-    "velocity": ("v", "dt"),
-    "contact": ("xi", "xj", "vi", "vj", "mi", "mj"),
-    "move": ("x", "v", "dt"),
-}
-
-
-def found_terms():
-    """Every term in the folder, also one that nobody imports."""
-    modules = [importlib.import_module(f"{rooms.__name__}.{m.name}") for m in pkgutil.iter_modules(rooms.__path__)]
-    found = {v for m in modules for v in vars(m).values() if isinstance(v, type) and issubclass(v, Term) and v is not Term}
-    return sorted(found, key=lambda term: term.__name__)
-
-
-every_term = pytest.mark.parametrize("term", found_terms(), ids=lambda t: t.__name__)
-every_law = pytest.mark.parametrize("term", [t for t in found_terms() if t.stage in INPUTS], ids=lambda t: t.__name__)
-every_memory = pytest.mark.parametrize("term", [t for t in found_terms() if t.stage == "strand"], ids=lambda t: t.__name__)
-
-
 # ---------------------------------------------------------------- what a term declares
 
 
 def test_the_published_terms_are_found():
-    assert set(found_terms()) >= {Springs, Dashpot, Gravity, LinearDrag, Ground, SelfCollision, ControllerSprings}
+    assert set(terms().values()) >= {Springs, Dashpot, Gravity, LinearDrag, Ground, SelfCollision, ControllerSprings}
 
 
-@every_term
-def test_a_term_says_what_it_is(term):
-    assert term.stage in STAGES
-    assert re.fullmatch("[a-z][a-z_]*", term.name)
-    assert term.__doc__ and term.__doc__ != Term.__doc__ and not term.__doc__.startswith(f"{term.__name__}(")  # the dataclass's own
-    assert (term.law is not None) == (term.stage in INPUTS)
-    assert (term.evolve is not None) == hasattr(term, "twin_evolve") == (term.stage == "strand")
-    assert hasattr(term, "prepare") == (term.stage == "setup")
-    for p in term.parameters:
-        assert p.unit and p.meaning and p.low < p.high
-        assert re.fullmatch("[a-z][a-z0-9_]*", p.name)  # columns that start with _ are padding
-
-
-def test_names_of_terms_and_parameters_are_unique():
+def test_names_of_parameters_are_unique():
     # they are columns of one table, and any two terms may be combined: only stages that take one term have rivals, which may share names
-    terms = [t.name for t in found_terms()]
-    parameters = {(p.name, t.stage if t.stage in ("move", "contact") else t.name) for t in found_terms() for p in t.parameters}
-    assert len(set(terms)) == len(terms) and len({name for name, _ in parameters}) == len(parameters)
-
-
-@every_law
-def test_law_and_twin_take_the_same_arguments(term):
-    law = list(inspect.signature(term.law.func).parameters)
-    assert law == [*INPUTS[term.stage], "p", "o"]
-    taken = list(map(str, inspect.signature(term.twin).parameters.values()))  # a long list may be taken whole
-    assert taken in ([*INPUTS[term.stage], *(p.name for p in term.parameters)], [*INPUTS[term.stage], "*values"])
-    if term.stage == "strand":
-        assert list(inspect.signature(term.evolve.func).parameters) == [*INPUTS["strand"], "dt", "p", "o"]
-        assert list(inspect.signature(term.twin_evolve).parameters) == [*INPUTS["strand"], "dt", *(p.name for p in term.parameters)]
-
-
-@every_term
-def test_values_of_a_term(term):
-    assert term().values == {p.name: p.value for p in term.parameters}
-    for p in term.parameters:
-        for value in (p.low, p.high, (p.low + p.high) / 2):
-            one = term({p.name: value})
-            assert one.values == {**term().values, p.name: value}
-            assert term().with_values(**{p.name: value}).values == one.values
-        for value in (np.nextafter(p.low, -np.inf), np.nextafter(p.high, np.inf), np.nan, np.inf):
-            with pytest.raises(ValueError, match=re.escape(f"{p.name} must lie in [{p.low:g}, {p.high:g}] {p.unit}, got {value}")):
-                term({p.name: value})
-    known = term.parameters[0].name if term.parameters else "none"
-    with pytest.raises(ValueError, match=f"{term.name} has no parameter 'nonsense'; .*known: .*{known}"):
-        term({"nonsense": 1.0})
+    parameters = {(p.name, t.stage if t.stage in ("move", "contact") else t.name) for t in terms().values() for p in t.parameters}
+    assert len({name for name, _ in parameters}) == len(parameters)
 
 
 def test_with_values_leaves_the_original_alone():
@@ -118,125 +47,6 @@ def test_with_values_leaves_the_original_alone():
 def test_parameters_are_checked(text, change):
     with pytest.raises(ValueError, match=re.escape(text)):
         Parameter(**{**dict(name="k", value=0.5, low=0.0, high=1.0, unit="N", meaning="a constant"), **change})
-
-
-# ---------------------------------------------------------------- laws against their twins
-
-
-@cache
-def kernel_of(term, stage):
-    """A kernel that evaluates the term's law at ``stage``, or its "evolve", in float64, sample by sample."""
-    R, V, P, law = wp.float64, wp.vec3d, wp.types.vector(OFFSET + max(1, len(term.parameters)), wp.float64), term.law
-    after = term.evolve
-    S, A, Ps = wp.array(dtype=R), wp.array(dtype=V), wp.array(dtype=P)
-
-    def axial(a: S, b: S, c: S, d: S, p: Ps, out: S):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
-
-    def hinge(a: A, b: A, c: A, d: S, p: Ps, out: A):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
-
-    def facet(a: A, b: A, c: S, d: S, e: S, p: Ps, out: A):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], d[i], e[i], p[i], wp.static(OFFSET))
-
-    def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], p[i], wp.static(OFFSET))
-
-    def evolve(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, k: S, p: Ps, out: S):
-        i = wp.tid()
-        out[i] = after(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], k[i], p[i], wp.static(OFFSET))
-
-    def body(a: A, b: A, c: A, d: S, p: Ps, out: A):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
-
-    def observer(a: A, b: A, c: A, d: A, e: A, f: S, p: Ps, out: A):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], p[i], wp.static(OFFSET))
-
-    def velocity(a: A, b: S, p: Ps, out: A):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], p[i], wp.static(OFFSET))
-
-    def contact(a: A, b: A, c: A, d: A, e: S, f: S, p: Ps, out: A):
-        i = wp.tid()
-        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], p[i], wp.static(OFFSET))
-
-    def move(a: A, b: A, c: S, p: Ps, out: A, out2: A):
-        i = wp.tid()
-        x, v = law(a[i], b[i], c[i], p[i], wp.static(OFFSET))
-        out[i] = x
-        out2[i] = v
-
-    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, facet=facet, body=body)
-    stages |= dict(observer=observer, velocity=velocity, contact=contact, move=move)
-    return wp.kernel(stages[stage], module="unique", enable_backward=False), P
-
-
-def evaluate(term, stage, inputs, parameters):
-    """The outputs of the law at ``stage``, one array each."""
-    kernel, P = kernel_of(term, stage)
-    padded = np.full((SAMPLES, P._length_), np.nan)  # a law that reads another term's parameters gives NaN
-    padded[:, OFFSET : OFFSET + parameters.shape[1]] = parameters
-    arrays = [wp.array(a, dtype=wp.float64 if a.ndim == 1 else wp.vec3d, device="cpu") for a in inputs]
-    scalar = stage in ("axial", "strand", "evolve")
-    shape = (SAMPLES,) if scalar else (SAMPLES, 3)
-    dtype = wp.float64 if scalar else wp.vec3d
-    out = [wp.zeros(SAMPLES, dtype=dtype, device="cpu") for _ in range(2 if stage == "move" else 1)]
-    wp.launch(kernel, dim=SAMPLES, inputs=[*arrays, wp.array(padded, dtype=P, device="cpu")], outputs=out, device="cpu")
-    return [o.numpy().reshape(shape) for o in out]
-
-
-def random_inputs(stage, rng):
-    """Samples of the arguments in the order of ``INPUTS``: moving particles, about as far apart as terms reach."""
-    positive, x, v = rng.uniform(0.1, 2, (4, SAMPLES)), rng.normal(size=(2, SAMPLES, 3)), rng.normal(size=(2, SAMPLES, 3))
-    if stage in ("axial", "strand"):
-        spring = [positive[0], rng.normal(size=SAMPLES), positive[1], 1e3 * positive[2]]
-        return [*spring, rng.integers(0, 2, SAMPLES) * 1.0, x[0], positive[3], v[0, :, 0]] if stage == "strand" else spring
-    if stage == "contact":
-        return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
-    if stage == "hinge":
-        return [x[0], v[0], x[1] * [1.0, 1.0, 0.0], 0.1 * positive[0]]
-    if stage == "facet":
-        return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
-    if stage in ("body", "observer"):
-        return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
-    return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]
-
-
-@every_law
-def test_law_equals_its_twin(term):
-    rng = np.random.default_rng(0)
-    inputs = random_inputs(term.stage, rng)
-    low, high = np.array([(p.low, p.high) for p in term.parameters]).reshape(-1, 2).T
-    parameters = rng.uniform(low, high, (SAMPLES, len(low)))
-    found = evaluate(term, term.stage, inputs, parameters)
-    twins = [term.twin(*(a[i] for a in inputs), *parameters[i]) for i in range(SAMPLES)]
-    expected = [np.array(part) for part in zip(*twins, strict=True)] if term.stage == "move" else [np.array(twins)]
-    for a, b in zip(found, expected, strict=True):
-        # a dozen operations in float64; a slow impact at t* = -h / v_n is far away and cancels, so relative to the way there: 1e4 m
-        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-11 if term.stage == "move" else 1e-13)
-    if term.stage in ("move", "contact"):  # laws with a condition: both sides of it were seen
-        usual = inputs[1] if term.stage == "move" else 0.0
-        share = (np.abs(found[-1] - usual) > 1e-9).any(1).mean()
-        assert 0.1 < share < 0.9
-
-
-@every_memory
-def test_a_memory_equals_its_twin(term):
-    # substeps from a microsecond to a second; the exponential of the one is a hyperbolic tangent in the other
-    rng = np.random.default_rng(0)
-    inputs = [*random_inputs("strand", rng), 10.0 ** rng.uniform(-6, 0, SAMPLES)]
-    low, high = np.array([(p.low, p.high) for p in term.parameters]).T
-    parameters = rng.uniform(low, high, (SAMPLES, len(low)))
-    (found,) = evaluate(term, "evolve", inputs, parameters)
-    expected = [term.twin_evolve(*(a[i] for a in inputs), *parameters[i]) for i in range(SAMPLES)]
-    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)  # a dozen operations of numbers up to 20
-    assert (np.abs(found - inputs[7]) > 1e-9).mean() > 0.03  # enough of them remember something new
 
 
 # ---------------------------------------------------------------- a list of terms

@@ -17,9 +17,10 @@ from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.base import Budget, Diverged
 from twinbench.methods.phystwin import METHODS, PhysTwin, body, first_order, transfer, zero_order
 from twinbench.methods.phystwin.body import Place, build, regrip, roll, system, time_step
-from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, SEARCHED, Config, Quirks, ranges
+from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, Config, Quirks
 from twinbench.methods.phystwin.first_order import refine
 from twinbench.methods.phystwin.losses import FitLoss, nearest_particles
+from twinbench.methods.phystwin.ranges import SEARCHED, ranges
 from twinbench.methods.phystwin.twin import PhysTwinTwin
 from twinbench.methods.phystwin.zero_order import costs, open_loop_costs, search
 

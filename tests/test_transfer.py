@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.phystwin import transfer
 from twinbench.methods.phystwin.body import Place, build, system
-from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, SEARCHED, Config
+from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, Config
+from twinbench.methods.phystwin.ranges import SEARCHED
 from twinbench.methods.phystwin.twin import PhysTwinTwin
 
 FRAMES = 6

@@ -3,6 +3,7 @@
 from .check import Check
 from .compare import Compare
 from .concealed import Concealed
+from .conform import Conform
 from .diagnose import Diagnose
 from .download import Download
 from .list import List
@@ -21,6 +22,7 @@ COMMANDS = {
     "check": Check,
     "download": Download,
     "list": List,
+    "conform": Conform,
     "diagnose": Diagnose,
     "concealed": Concealed,
     "real": Real,

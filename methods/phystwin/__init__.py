@@ -40,8 +40,8 @@ class PhysTwin(Method):
     def fitted(self, used, config: Config, *, seed, device, progress=None, added=()):
         """The twin of ``used``, all of them, with ``added`` terms in its physics."""
         from .body import Place, build
-        from .config import ranges
         from .first_order import refine
+        from .ranges import ranges
         from .twin import PhysTwinTwin
         from .zero_order import search
 
@@ -63,7 +63,7 @@ class PhysTwin(Method):
         return [_first_frames(o, config.frames) for o in used]
 
     def skip(self, scenario) -> str | None:
-        from .config import ranges
+        from .ranges import ranges
 
         quirks = self.presets["full"].quirks
         if quirks.long_frame and abs(scenario.fps - 30) > 0.5:

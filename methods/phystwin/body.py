@@ -15,7 +15,8 @@ from ...physics.system import System
 from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
 from ...physics.terms.base import Term
 from ...physics.topology import controller_springs, object_springs
-from .config import ADDED_SHARE, CONTACT, Config
+from .config import Config
+from .ranges import ADDED_SHARE, CONTACT
 
 __all__ = ["Body", "Motion", "Place", "build", "hand_springs", "regrip", "roll", "system", "time_step"]
 

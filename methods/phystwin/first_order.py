@@ -11,8 +11,9 @@ import torch
 from ...datasets.scenario import Observed
 from ...physics.batch import Batch
 from .body import Body, Place, regrip, system, time_step
-from .config import CONTACT, SEARCHED, Config
+from .config import Config
 from .losses import FitLoss
+from .ranges import CONTACT, SEARCHED
 from .zero_order import open_loop_costs
 
 __all__ = ["refine"]

@@ -11,8 +11,9 @@ import torch
 from ...datasets.scenario import Observed
 from ...physics.terms.base import Term
 from .body import Body, Motion, Place, build, regrip, roll, system
-from .config import ADDED_SHARE, Config, ranges
+from .config import Config
 from .losses import FitLoss
+from .ranges import ADDED_SHARE, ranges
 
 __all__ = ["open_loop_costs", "search"]
 

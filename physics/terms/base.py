@@ -42,10 +42,22 @@ from typing import ClassVar
 from ...datasets.collection import nearest
 from ..parameters import Parameter
 
-__all__ = ["STAGED", "STAGES", "Effect", "Term"]
+__all__ = ["ARGUMENTS", "STAGED", "STAGES", "Effect", "Term"]
 
 STAGES = ("axial", "strand", "hinge", "facet", "body", "observer", "velocity", "contact", "move", "links", "setup")
 STAGED = STAGES[:9]  # whose laws are in the kernels
+# what a law is given, before p and o; its numpy twin is given the same, and then the parameters
+ARGUMENTS = {
+    "axial": ("length", "rate", "rest", "stiffness"),
+    "strand": ("length", "rate", "rest", "stiffness", "link", "middle", "t", "q"),
+    "hinge": ("kappa", "rate", "natural", "span"),
+    "facet": ("area", "v", "m", "swell", "dt"),
+    "body": ("x", "v", "home", "m"),
+    "observer": ("x", "v", "home", "y", "u", "m"),
+    "velocity": ("v", "dt"),
+    "contact": ("xi", "xj", "vi", "vj", "mi", "mj"),
+    "move": ("x", "v", "dt"),
+}
 
 
 @dataclass(frozen=True)

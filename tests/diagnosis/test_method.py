@@ -14,13 +14,15 @@ from twinbench.benchmark.runner import Runner, Settings
 from twinbench.benchmark.sources import Sources
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Plane
-from twinbench.diagnosis import method
+from twinbench.diagnosis import extended
+from twinbench.diagnosis.extended import DiagnosedTwin, named
 from twinbench.diagnosis.inquiry import PRESETS, Preset
-from twinbench.diagnosis.method import DiagnosedTwin, PhysTwinDiagnosed, named
+from twinbench.diagnosis.method import PhysTwinDiagnosed
 from twinbench.methods.base import Budget
 from twinbench.methods.phystwin import PhysTwin
 from twinbench.methods.phystwin.body import Place, _made, build, system
-from twinbench.methods.phystwin.config import SEARCHED, Config
+from twinbench.methods.phystwin.config import Config
+from twinbench.methods.phystwin.ranges import SEARCHED
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
 from twinbench.physics import terms
@@ -56,7 +58,7 @@ def unnamed(verdict="adequate"):
 def answering(monkeypatch, found):
     """Diagnoses that say ``found``; what they were asked."""
     asked = []
-    monkeypatch.setattr(method, "diagnose", lambda scenario, **options: asked.append((scenario, options)) or found)
+    monkeypatch.setattr(extended, "diagnose", lambda scenario, **options: asked.append((scenario, options)) or found)
     return asked
 
 
@@ -222,7 +224,7 @@ def test_a_run_fits_phystwin_once_and_says_what_was_added(tilted, monkeypatch, t
 
 
 def test_its_fits_depend_on_the_code_and_the_numbers_of_the_diagnosis(tmp_path):
-    package = Path(method.__file__).parents[1]
+    package = Path(extended.__file__).parents[1]
     for room in ("datasets", "physics", "methods", "diagnosis"):
         shutil.copytree(package / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__", "sample"))
 

@@ -1,0 +1,130 @@
+"""Laws of terms evaluated one by one, in float64, beside their numpy twins. Warp reads the annotations here: they are no strings."""
+
+from functools import cache
+
+import numpy as np
+import warp as wp
+
+from ...physics.terms.base import Term
+from .checking import require
+
+__all__ = ["agree", "agree_in_memory", "evaluate", "random_inputs"]
+
+SAMPLES, OFFSET = 500, 2  # the term's parameters do not come first in their stage's vector
+
+
+def agree(term: type[Term]) -> None:
+    """Raises AssertionError unless the law of ``term`` is its ``twin`` wherever its parameters may lie."""
+    rng = np.random.default_rng(0)
+    inputs = random_inputs(term.stage, rng)
+    low, high = np.array([(p.low, p.high) for p in term.parameters]).reshape(-1, 2).T
+    parameters = rng.uniform(low, high, (SAMPLES, len(low)))
+    found = evaluate(term, term.stage, inputs, parameters)
+    twins = [term.twin(*(a[i] for a in inputs), *parameters[i]) for i in range(SAMPLES)]
+    expected = [np.array(part) for part in zip(*twins, strict=True)] if term.stage == "move" else [np.array(twins)]
+    for a, b in zip(found, expected, strict=True):
+        # a dozen operations in float64; a slow impact at t* = -h / v_n is far away and cancels, so relative to the way there: 1e4 m
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-11 if term.stage == "move" else 1e-13)
+    if term.stage in ("move", "contact"):  # laws with a condition: both sides of it were seen
+        usual = inputs[1] if term.stage == "move" else 0.0
+        share = (np.abs(found[-1] - usual) > 1e-9).any(1).mean()
+        require(0.1 < share < 0.9, f"it acts on {share:.0%} of the samples: both sides of its condition must be met")
+
+
+def agree_in_memory(term: type[Term]) -> None:
+    """Raises AssertionError unless the memory of ``term``, of stage "strand", evolves as ``twin_evolve`` says."""
+    # substeps from a microsecond to a second; the exponential of the one is a hyperbolic tangent in the other
+    rng = np.random.default_rng(0)
+    inputs = [*random_inputs("strand", rng), 10.0 ** rng.uniform(-6, 0, SAMPLES)]
+    low, high = np.array([(p.low, p.high) for p in term.parameters]).T
+    parameters = rng.uniform(low, high, (SAMPLES, len(low)))
+    (found,) = evaluate(term, "evolve", inputs, parameters)
+    expected = [term.twin_evolve(*(a[i] for a in inputs), *parameters[i]) for i in range(SAMPLES)]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)  # a dozen operations of numbers up to 20
+    share = (np.abs(found - inputs[7]) > 1e-9).mean()
+    require(share > 0.03, f"in {share:.0%} of the samples it remembers something new: too few")
+
+
+@cache
+def _kernel_of(term, stage):
+    """A kernel that evaluates the term's law at ``stage``, or its "evolve", in float64, sample by sample."""
+    R, V, P, law = wp.float64, wp.vec3d, wp.types.vector(OFFSET + max(1, len(term.parameters)), wp.float64), term.law
+    after = term.evolve
+    S, A, Ps = wp.array(dtype=R), wp.array(dtype=V), wp.array(dtype=P)
+
+    def axial(a: S, b: S, c: S, d: S, p: Ps, out: S):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
+    def hinge(a: A, b: A, c: A, d: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
+    def facet(a: A, b: A, c: S, d: S, e: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], p[i], wp.static(OFFSET))
+
+    def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], p[i], wp.static(OFFSET))
+
+    def evolve(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, k: S, p: Ps, out: S):
+        i = wp.tid()
+        out[i] = after(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], k[i], p[i], wp.static(OFFSET))
+
+    def body(a: A, b: A, c: A, d: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
+    def observer(a: A, b: A, c: A, d: A, e: A, f: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], p[i], wp.static(OFFSET))
+
+    def velocity(a: A, b: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], p[i], wp.static(OFFSET))
+
+    def contact(a: A, b: A, c: A, d: A, e: S, f: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], p[i], wp.static(OFFSET))
+
+    def move(a: A, b: A, c: S, p: Ps, out: A, out2: A):
+        i = wp.tid()
+        x, v = law(a[i], b[i], c[i], p[i], wp.static(OFFSET))
+        out[i] = x
+        out2[i] = v
+
+    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, facet=facet, body=body)
+    stages |= dict(observer=observer, velocity=velocity, contact=contact, move=move)
+    return wp.kernel(stages[stage], module="unique", enable_backward=False), P
+
+
+def evaluate(term, stage, inputs, parameters):
+    """The outputs of the law at ``stage``, one array each."""
+    kernel, P = _kernel_of(term, stage)
+    padded = np.full((SAMPLES, P._length_), np.nan)  # a law that reads another term's parameters gives NaN
+    padded[:, OFFSET : OFFSET + parameters.shape[1]] = parameters
+    arrays = [wp.array(a, dtype=wp.float64 if a.ndim == 1 else wp.vec3d, device="cpu") for a in inputs]
+    scalar = stage in ("axial", "strand", "evolve")
+    shape = (SAMPLES,) if scalar else (SAMPLES, 3)
+    dtype = wp.float64 if scalar else wp.vec3d
+    out = [wp.zeros(SAMPLES, dtype=dtype, device="cpu") for _ in range(2 if stage == "move" else 1)]
+    wp.launch(kernel, dim=SAMPLES, inputs=[*arrays, wp.array(padded, dtype=P, device="cpu")], outputs=out, device="cpu")
+    return [o.numpy().reshape(shape) for o in out]
+
+
+def random_inputs(stage, rng):
+    """Samples of the arguments in the order of ``ARGUMENTS``: moving particles, about as far apart as terms reach."""
+    positive, x, v = rng.uniform(0.1, 2, (4, SAMPLES)), rng.normal(size=(2, SAMPLES, 3)), rng.normal(size=(2, SAMPLES, 3))
+    if stage in ("axial", "strand"):
+        spring = [positive[0], rng.normal(size=SAMPLES), positive[1], 1e3 * positive[2]]
+        return [*spring, rng.integers(0, 2, SAMPLES) * 1.0, x[0], positive[3], v[0, :, 0]] if stage == "strand" else spring
+    if stage == "contact":
+        return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
+    if stage == "hinge":
+        return [x[0], v[0], x[1] * [1.0, 1.0, 0.0], 0.1 * positive[0]]
+    if stage == "facet":
+        return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
+    if stage in ("body", "observer"):
+        return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
+    return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]

@@ -1,0 +1,113 @@
+"""Bodies in which effects are tried: of which only what is asked for acts, and a random one that is thrown at a table."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..datasets.plugins import said
+from .batch import Batch
+from .facets import solid_facets
+from .system import System
+from .terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, LinearDrag, Springs, Term
+from .topology import rope_hinges
+
+__all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "fault", "run", "thrown"]
+
+G = 9.8  # m/s^2
+ROUNDING = 1e-11  # m, in float64
+# every law at its neutral value; the plane -z = -10 is out of reach
+NEUTRAL = dict(dashpot_damping=0.0, drag_damping=0.0, gravity_x=0.0, gravity_y=0.0, gravity_z=0.0, ground_offset=-10.0)
+TABLE = dict(ground_normal_z=1.0, ground_offset=0.0)  # z = 0, and what is above it
+STILL = np.zeros((1, 0, 3))  # a path of no controllers
+AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
+
+
+def body(positions, *extra, springs=(), stiffness=(), controllers=STILL, velocities=None, **options):
+    """A system of which only what is given here acts: ``extra`` terms, values of parameters, other fields of a system."""
+    given = {k: options.pop(k) for k in ("masses", "rest", "grips", "seen", "hinges", "chains", "facets") if k in options}
+    kinds = [k for k in AIR if not (k is Ground and any(e.stage == "move" for e in extra))]
+    return System(
+        positions=np.atleast_2d(positions),
+        velocities=None if velocities is None else np.atleast_2d(velocities),
+        springs=np.reshape(springs, (-1, 2)),
+        stiffness=stiffness,
+        controllers=controllers,
+        terms=[k() for k in (*kinds, *extra)],
+        **given,
+    ).with_values(**{**NEUTRAL, **options})
+
+
+def wound(share):
+    """(9, 3) a curved rope [m], and (T, 4, 3) hands at its first two and last two nodes, of which the latter lead it through the air and
+    turn it, by ``share`` (T,) of the way."""
+    from scipy.spatial.transform import Rotation
+
+    s = np.linspace(0, 1, 9)
+    x = np.stack([0.48 * s, 0.3 + 0.06 * np.sin(3 * s), 0.3 + 0.06 * np.cos(4 * s)], 1)
+    hands = np.repeat(x[None, [0, 1, -2, -1]], len(share), 0)
+    hands[:, 2:] = x[-1] + share[:, None, None] * [-0.08, 0.06, -0.04]
+    hands[:, 2] += Rotation.from_rotvec(share[:, None] * [1.0, -0.6, 0.8]).apply(x[-2] - x[-1])
+    return x, hands
+
+
+def thrown(term, share, table=True, *, roped=None):
+    """A random body thrown at a table, a corner of it in a hand, with ``term`` at a ``share`` of its typical size, or without it (None).
+
+    A rope moves beside it if ``roped``: unless told, where the term is one of hinges, of which the random body has none.
+    """
+    rng = np.random.default_rng(0)
+    frames, count = 11, 30
+    x = rng.random((count, 3)) * 0.1 + [0, 0, 0.003]
+    springs = np.argwhere(np.triu(np.linalg.norm(x[:, None] - x[None], axis=2) < 0.05, 1))
+    path = np.linspace(0, 1, frames)
+    hand = x[:1] + [0.0, 0.0, 0.02] + path[:, None, None] ** 2 * [0.05, 0.02, 0.05]
+    near = np.argsort(np.linalg.norm(x - hand[0], axis=1))[:5]
+    speed, grips, hinged = rng.normal(size=x.shape) * 0.3, [-1], {}
+    if term.stage == "hinge" if roped is None else roped:
+        rope, held = wound(path**2)
+        chain = count + np.arange(len(rope))
+        x, speed, hand = np.concatenate([x, rope]), np.concatenate([speed, 0 * rope]), np.concatenate([hand, held], 1)
+        springs = np.concatenate([springs, np.stack([chain[:-1], chain[1:]], 1)])
+        grips, hinged = [-1, *chain[[0, 1, -2, -1]]], dict(hinges=rope_hinges(chain), chains=[chain])
+    ties = [[len(x), k] for k in near]
+    seen = x + path[:, None, None] * [0.0, 0.03, 0.02]
+    extra = () if share is None else (term,)
+    stiff = np.full(len(springs) + len(ties), 40.0)
+    plane = {"adhesion_normal_z": 1.0} if extra == (GroundAdhesion,) else {}
+    values = dict(gravity_z=-G, dashpot_damping=0.5, drag_damping=1.0, collide_elas=0.2, **(TABLE if table else {}), **plane)
+    if extra and term.effect:
+        values |= {name: share * value for name, value in term.effect.typical.items()}
+    if term in AIR:
+        extra = ()
+    given = dict(
+        springs=[*springs.tolist(), *ties],
+        stiffness=stiff,
+        masses=np.full(len(x), 0.02),  # with one kilogram each, springs would hang at twice their length
+        controllers=hand,
+        velocities=speed,
+        grips=grips,
+        seen=seen,
+        facets=solid_facets(x[:count], radius=0.1),
+        **hinged,
+    )
+    return body(x, *extra, **given, **values)
+
+
+def run(*args, **options):
+    return Batch([thrown(*args, **options)], fps=30, substeps=60, double=True, workers=1).rollout().positions[0].numpy()
+
+
+def fault(term: type[Term]) -> str | None:
+    """Why a term with an effect cannot be used, found by simulating the thrown body with it; None where it can."""
+    try:
+        without, none, some = run(term, None), run(term, 0.0), run(term, 1.0)
+    except Exception as error:  # of somebody else's law; Warp's compiler wraps what was wrong into where it was met
+        while error.__context__:
+            error = error.__context__
+        return said(error)
+    if not np.isfinite(some).all():
+        return "a typical effect makes positions that are not finite"
+    # rounding: compilers may join multiplications and additions differently in another kernel
+    if not np.allclose(none, without, rtol=0, atol=ROUNDING):
+        return f"an effect of no size moves the thrown body by {np.abs(none - without).max():.2g} m"
+    return None
