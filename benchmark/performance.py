@@ -168,14 +168,14 @@ def collided(system):
     return replace(system, terms=(*system.terms, SelfCollision()))
 
 
-def near_of(system):
-    """The contact candidates of a system's start as Warp arrays on the GPU."""
+def near_of(system, device: str = "cuda"):
+    """The contact candidates of a system's start as Warp arrays on the device."""
     import warp as wp
 
     from ..physics.batch import Batch
     from ..physics.contacts import candidates
 
-    batch = Batch([system], fps=30, substeps=1, device="cuda")
+    batch = Batch([system], fps=30, substeps=1, device=device)
     return [wp.from_torch(t) for t in candidates(batch, batch.inputs.x, batch.inputs.table)]
 
 
