@@ -1,6 +1,6 @@
 """How fast the engine is: on a CPU beside a plain numpy loop, on a GPU beside a simulator built as the published one is, and the bounds.
 
-python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core, what two workers bring, and the reference
+python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core; two workers; the reference
 python -m twinbench.benchmark.performance --cuda       frames of 667 substeps on the GPU: singly, in batches, with gradient
 """
 
