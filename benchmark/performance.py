@@ -1,6 +1,6 @@
 """How fast the engine is: on a CPU beside a plain numpy loop, on a GPU beside a simulator built as the published one is, and the bounds.
 
-python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core, and what two workers bring
+python -m twinbench.benchmark.performance              nanoseconds per spring and substep on one CPU core; two workers; the reference
 python -m twinbench.benchmark.performance --cuda       frames of 667 substeps on the GPU: singly, in batches, with gradient
 """
 
@@ -73,17 +73,17 @@ def numpy_substeps(system, count: int, dt: float) -> float:
     return time.perf_counter() - began
 
 
-def timed(work, sync, *, repeats: int = 5, first: int = 1) -> float:
-    """Shortest of several timings [s]: on a shared machine the others measure the neighbours."""
+def timed(work, sync, *, repeats: int = 5, first: int = 1, clock=time.perf_counter) -> float:
+    """Shortest of several timings [s] by ``clock``: on a shared machine the others measure the neighbours."""
     for _ in range(first):
         work()
     found = []
     for _ in range(repeats):
         sync()
-        began = time.perf_counter()
+        began = clock()
         work()
         sync()
-        found.append(time.perf_counter() - began)
+        found.append(clock() - began)
     return min(found)
 
 
@@ -114,6 +114,28 @@ def cpu(repeats: int) -> None:
         end="",
     )
     print(f", {seconds[1] / seconds[2]:.2f} times as fast")
+    beside_reference(repeats)
+
+
+def beside_reference(repeats: int) -> None:
+    """Print one frame of 2,000 particles beside the reference-style engine, both on one core, by the processor's time."""
+    from ..physics.batch import Batch
+    from .reference_engine import ReferenceEngine
+
+    row = "{:>22} {:>9} {:>14} {:>9} {:>7}"
+    print(f"\none frame of {PUBLISHED_SUBSTEPS} substeps on one core, seconds of the processor")
+    print(row.format("2000 particles", "", "this engine", "reference", "ratio"))
+    for name, colliding in (("", False), ("self-colliding", True)):
+        system = block(2000, 14)
+        system = collided(system) if colliding else system
+        near = near_of(system, "cpu") if colliding else None
+        reference = ReferenceEngine(system, substeps=PUBLISHED_SUBSTEPS, dt=5e-5, device="cpu", near=near, back=True)
+        batch = Batch([system], fps=30, substeps=PUBLISHED_SUBSTEPS, dt=5e-5, workers=1)
+        works = {"forward": (lambda b=batch: b.march(0, 1), reference.frame)}
+        works["+gradient"] = (lambda b=batch: forward_backward(b), reference.frame_and_gradient)
+        for what, (ours, theirs) in works.items():
+            fast, slow = (timed(work, lambda: None, repeats=repeats, clock=time.process_time) for work in (ours, theirs))
+            print(row.format(name, what, f"{fast:.2f}", f"{slow:.2f}", f"{slow / fast:.1f}"), flush=True)
 
 
 def cuda(repeats: int) -> None:
@@ -168,14 +190,14 @@ def collided(system):
     return replace(system, terms=(*system.terms, SelfCollision()))
 
 
-def near_of(system):
-    """The contact candidates of a system's start as Warp arrays on the GPU."""
+def near_of(system, device: str = "cuda"):
+    """The contact candidates of a system's start as Warp arrays on the device."""
     import warp as wp
 
     from ..physics.batch import Batch
     from ..physics.contacts import candidates
 
-    batch = Batch([system], fps=30, substeps=1, device="cuda")
+    batch = Batch([system], fps=30, substeps=1, device=device)
     return [wp.from_torch(t) for t in candidates(batch, batch.inputs.x, batch.inputs.table)]
 
 

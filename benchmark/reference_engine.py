@@ -68,8 +68,9 @@ def accelerate(
     after[i] = (v[i] + (force[i] / mass[i] + gravity) * dt) * wp.exp(-dt * drag)
 
 
-@wp.kernel
-def collide(
+@wp.func
+def impulses(
+    i: int,
     x: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
     mass: wp.array(dtype=float),
@@ -78,9 +79,12 @@ def collide(
     distance: float,
     elasticity: wp.array(dtype=float),
     friction: wp.array(dtype=float),
-    after: wp.array(dtype=wp.vec3),
 ):
-    i = wp.tid()
+    """Sum of the impulses on particle ``i``, and their number.
+
+    A function, because Warp's way back through a kernel does not repeat the kernel's own loops of unknown length, but calls functions anew:
+    what follows the loop would see no impulse and no contact.
+    """
     total = wp.vec3()
     count = wp.float32(0.0)
     for k in range(row[i], row[i + 1]):
@@ -97,6 +101,23 @@ def collide(
             keep = wp.max(0.0, 1.0 - mu * (1.0 + e) * wp.length(normal) / wp.max(wp.length(tangent), 1.0e-6))
             total += (normal * (1.0 + e) + tangent * (1.0 - keep)) / (1.0 / mass[i] + 1.0 / mass[j])
             count += 1.0
+    return total, count
+
+
+@wp.kernel
+def collide(
+    x: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+    mass: wp.array(dtype=float),
+    row: wp.array(dtype=int),
+    near: wp.array(dtype=int),
+    distance: float,
+    elasticity: wp.array(dtype=float),
+    friction: wp.array(dtype=float),
+    after: wp.array(dtype=wp.vec3),
+):
+    i = wp.tid()
+    total, count = impulses(i, x, v, mass, row, near, distance, elasticity, friction)
     if count > 0.0:
         after[i] = v[i] + total / (count * mass[i])
     else:
@@ -212,10 +233,7 @@ class ReferenceEngine:
         self._frame()
 
     def frame_and_gradient(self):
-        """The same, and the gradient of the sum of |x|^2 with respect to every spring's log stiffness and the contact parameters.
-
-        With self-collision only its time is meant: Warp's tape does not get through the loop over contacts right.
-        """
+        """The same, and the gradient of the sum of |x|^2 with respect to every spring's log stiffness and the contact parameters."""
         self._frame_and_gradient()
 
     def positions(self) -> np.ndarray:

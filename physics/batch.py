@@ -296,12 +296,7 @@ class Batch:
         if (self.substeps != substeps).any():
             raise ValueError("gradients need the same number of substeps in every system of the batch")
         longest = substeps if self.colliding else max(1, frames * substeps)
-        kept = self.node_count * (23 if self.colliding else 14)
-        if self.hinged:
-            kept += 3 * len(self.inputs.directors)
-        if self.remembering:
-            kept += len(self.constants["spring"]) * self.laws.memories
-        room = max(1, HISTORY_BYTES // (kept * self.dtype.itemsize))
+        room = max(1, HISTORY_BYTES // self.substep_bytes)
         longest = -(-longest // -(-longest // room))
         found, begin = [], 0
         while begin < frames * substeps:
@@ -310,6 +305,16 @@ class Batch:
             found.append(Stretch(begin // substeps, begin % substeps, np.full(len(self.systems), end - begin)))
             begin = end
         return found
+
+    @property
+    def substep_bytes(self) -> int:
+        """What one substep takes of a history, for the way back."""
+        kept = self.node_count * (23 if self.colliding else 14)
+        if self.hinged:
+            kept += 3 * len(self.inputs.directors)
+        if self.remembering:
+            kept += len(self.constants["spring"]) * self.laws.memories
+        return kept * self.dtype.itemsize
 
     def forward(self, world: World, frame: int, stretch: Stretch) -> None:
         """Step ``world`` from slot 0 through a stretch that starts after ``frame``."""

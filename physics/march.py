@@ -249,7 +249,7 @@ class March(torch.autograd.Function):
         adjoint = Adjoint(batch, values, *g_state, given, wanted)
         scratch = torch.empty_like(g_out)
         for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
-            world = ctx.world
+            world, ctx.world = ctx.world, None  # outputs that somebody still holds keep this context; a second way back recomputes
             if world is None:
                 world = World(batch, values, *start, stretch.history, scratch[stretch.frame :])
                 batch.forward(world, ctx.frame, stretch)

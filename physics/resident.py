@@ -305,7 +305,7 @@ class _March(torch.autograd.Function):
         adjoint = dict(gx=g_x.contiguous().clone(), gv=g_v.contiguous().clone(), g_laws=laws, **sums)
         pulled = len(engine.driven) > 0 and (wanted["path"] or wanted["table"])
         for stretch, (x, v) in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
-            count, past = int(stretch.count[0]), ctx.past
+            count, past, ctx.past = int(stretch.count[0]), ctx.past, None  # as in ``march``: outputs that are still held keep this context
             where = dict(frame=ctx.frame + stretch.frame, begin=stretch.begin, count=count)
             if past is None:
                 scratch = torch.empty_like(g_out[stretch.frame :])

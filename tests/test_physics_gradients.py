@@ -226,3 +226,22 @@ def test_a_way_back_is_freed_with_its_result(room, monkeypatch):
     del total
     gc.collect()
     assert kept and all(reference() is None for reference in kept)
+
+
+def test_a_history_is_freed_on_the_way_back_and_made_again_for_another(monkeypatch):
+    # the result's context lives as long as the result; a fit holds that of the last window while it steps the next one
+    kept, real = [], march.World.__init__
+
+    def spy(self, *args):
+        real(self, *args)
+        kept.append(weakref.ref(self))
+
+    monkeypatch.setattr(march.World, "__init__", spy)
+    batch = batch_of(AIR)  # in one stretch, whose history is kept from the way there
+    inputs = leaves(batch)
+    total = loss(batch, inputs)
+    first = torch.autograd.grad(total, [inputs.x, inputs.stiffness, inputs.table], retain_graph=True)
+    gc.collect()
+    assert kept and all(reference() is None for reference in kept)
+    again = torch.autograd.grad(total, [inputs.x, inputs.stiffness, inputs.table])
+    assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import torch
 
 from ...datasets.scenario import Observed
 
 __all__ = ["FitLoss", "nearest_particles"]
+
+PAIRS = 1 << 22  # distances at a time: 16 MiB in float32
 
 
 class FitLoss:
@@ -50,8 +54,18 @@ def nearest_particles(goal: torch.Tensor, particles: torch.Tensor, *, plain: boo
     """(F, N) index of the particle of ``particles`` (F, P, 3) nearest to each point of ``goal`` (F, N, 3) [m], frame by frame.
 
     ``plain`` subtracts coordinate by coordinate: torch's cdist takes a block of threads for each pair on CUDA, some forty times as long.
+    No more than ``PAIRS`` distances are in memory at a time: those of 20,000 points to as many particles would be 1.6 GB a frame.
     """
-    if not plain:
-        return torch.cdist(goal, particles, compute_mode="donot_use_mm_for_euclid_dist").argmin(2)
-    squares = (sum((g[:, None, k] - p[:, k]) ** 2 for k in range(3)) for g, p in zip(goal, particles, strict=True))
-    return torch.stack([square.argmin(1) for square in squares])
+    distances = _squares if plain else partial(torch.cdist, compute_mode="donot_use_mm_for_euclid_dist")
+    each, others = goal.shape[1], particles.shape[1]
+    frames, rows = (max(1, PAIRS // max(1, pairs)) for pairs in (each * others, others))
+    nearest = torch.empty(goal.shape[:2], dtype=torch.int64, device=goal.device)
+    for goals, there, found in zip(*(t.split(frames) for t in (goal, particles, nearest)), strict=True):
+        for some, indices in zip(goals.split(rows, 1), found.split(rows, 1), strict=True):
+            indices.copy_(distances(some, there).argmin(2))
+    return nearest
+
+
+def _squares(goal, particles):
+    """Squared distances (F, N, P) [m^2]."""
+    return sum((goal[:, :, None, k] - particles[:, None, :, k]) ** 2 for k in range(3))
