@@ -8,7 +8,9 @@ from pathlib import Path
 
 from .catalogue import CASES, CITATION, PAIRS, PUBLISHED
 from .collection import Collection
-from .phystwin import read_case, read_extra
+from .files import present
+from .phystwin import read_case
+from .phystwin_reading import read_extra
 from .scenario import TransferPair
 
 __all__ = ["LAYOUT", "case_folders"]
@@ -17,14 +19,21 @@ __all__ = ["LAYOUT", "case_folders"]
 def case_folders(path: Path) -> dict[str, Path]:
     """The cases at ``path`` by name: itself, or the folders in it, in ``different_types`` or in ``data/different_types``."""
     path = Path(path)
-    if (path / "final_data.pkl").is_file():
+    if _is_case(path):
         return {path.resolve().name: path}
     for root in (path, path / "different_types", path / "data" / "different_types"):
         if root.is_dir():
-            found = {f.name: f for f in sorted(root.iterdir()) if not f.name.startswith(".") and (f / "final_data.pkl").is_file()}
+            found = {f.name: f for f in sorted(root.iterdir()) if not f.name.startswith(".") and _is_case(f)}
             if found:
                 return found
     return {}
+
+
+def _is_case(folder):
+    """Known by its arrays; or, so that a case which lost them is not passed over, by the three other files that every case has."""
+    if not folder.is_dir():
+        return False
+    return present(folder / "final_data.pkl") or all(present(folder / f) for f in ("split.json", "metadata.json", "calibrate.pkl"))
 
 
 class PhysTwinLayout:
@@ -33,7 +42,7 @@ class PhysTwinLayout:
     name = "phystwin"
 
     def matches(self, path: Path) -> bool:
-        """Whether there is a ``final_data.pkl`` in ``path`` or in the folders of cases that it holds."""
+        """Whether ``path`` is a case or holds some."""
         try:
             return bool(case_folders(path))
         except OSError:
@@ -42,13 +51,14 @@ class PhysTwinLayout:
     def open(self, path: Path, *, split: str = "published") -> Collection:
         """All cases at ``path``. Pairs are the published ones, and for other cases those of one ``object`` in their scenario.json.
 
-        With ``split="clean"`` a pair whose two recordings were cut from one session is left out.
+        With ``split="clean"`` a pair whose two recordings were cut from one session is left out. A case whose scenario.json cannot be read
+        is in no pair of these; reading the case says why.
         """
         cases = case_folders(path)
         if not cases:
             raise ValueError(f"{path}: no case there (a folder with final_data.pkl)")
         whole = set(cases) == set(CASES)
-        about = {name: read_extra(folder) for name, folder in cases.items()}
+        about = {name: _about(folder) for name, folder in cases.items()}
         pairs = [p for p in _pairs(about) if split == "published" or not _share_session(p, about)]
         return Collection(
             name="phystwin" if whole else Path(path).resolve().name,
@@ -60,10 +70,18 @@ class PhysTwinLayout:
         )
 
 
+def _about(folder: Path) -> dict:
+    try:
+        return read_extra(folder)
+    except ValueError:
+        return {"object": None, "session": ""}
+
+
 def _pairs(about) -> Iterable[TransferPair]:
     yield from (p for p in PAIRS if p.target in about and set(p.sources) <= set(about))
     others = [name for name in about if name not in CASES]
-    yield from (TransferPair((a,), b) for a in others for b in others if a != b and about[a]["object"] == about[b]["object"])
+    alike = ((a, b) for a in others for b in others if a != b and about[a]["object"] == about[b]["object"] is not None)
+    yield from (TransferPair((a,), b) for a, b in alike)
 
 
 def _share_session(pair, about):

@@ -89,7 +89,7 @@ def poisoned(how):
     points, visible, valid, tracks = made.points.copy(), made.visible.copy(), made.motion_valid.copy(), made.tracks.copy()
     tracks[TRAIN:] = np.nan
     if how == "elsewhere":
-        points[TRAIN:] = 1e6
+        points[TRAIN:] = 900.0
         visible[TRAIN:] = valid[TRAIN:] = True
     else:
         points[TRAIN:] = np.nan
