@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache as once
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 from ..datasets import collection as collections
@@ -21,6 +22,7 @@ from .checksum import code
 
 __all__ = ["Opened", "folder_of", "listing", "open_recordings", "open_scenario"]
 
+MOST_FILES = 10**6  # the published recordings with all that is made from them are some 200,000
 LEVELS = 4  # a recording's name may be so deep below its folder
 
 
@@ -44,18 +46,24 @@ def folder_of(path: str) -> Path:
 
 
 def listing(folder: Path) -> str:
-    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``, hidden ones left out."""
+    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``, hidden ones left out.
+
+    Raises ValueError where there are more than ``MOST_FILES``.
+    """
     folder = Path(folder).resolve()
-    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in sorted(_files(folder))]
+    found = list(islice(_files(folder), MOST_FILES + 1))
+    if len(found) > MOST_FILES:
+        raise ValueError(f"{folder}: recordings must have at most {MOST_FILES} files in all, got more: name a folder further down")
+    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in sorted(found)]
     return digest(str(folder), seen)
 
 
 def _files(folder: Path) -> Iterator[Path]:
     if folder.is_file():
         yield folder
-    visited = set()
+    visited = {str(parent) for parent in folder.parents}  # whoever links back up does not mean all that is there
     for root, folders, names in os.walk(folder, followlinks=True):
-        if (real := os.path.realpath(root)) in visited:  # a link back up
+        if (real := os.path.realpath(root)) in visited:
             folders.clear()
             continue
         visited.add(real)

@@ -11,6 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
+from .findings import refuse
+from .plausible import plausible
 from .scenario import Scenario, TransferPair
 
 __all__ = ["Collection", "Layout", "layouts", "nearest", "open_collection"]
@@ -40,10 +42,12 @@ class Collection:
             raise ValueError(f"collection {self.name}: {name} is scored but is not among its scenarios")
 
     def load(self, name: str) -> Scenario:
-        """Read one scenario. An unknown name raises ValueError with the nearest known one."""
+        """Read one scenario. Raises ValueError with the nearest name for an unknown one, and where its fields cannot belong together."""
         if name not in self.scenarios:
             raise ValueError(f"unknown scenario {name!r} in {self.name}; {nearest(name, self.scenarios)}")
-        return self.scenarios[name]()
+        scenario = self.scenarios[name]()
+        refuse(plausible(vars(scenario)), where=f" (scenario {name} of {self.name})")
+        return scenario
 
 
 class Layout(Protocol):

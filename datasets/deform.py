@@ -41,7 +41,11 @@ class Deform:
 
     def matches(self, path: Path) -> bool:
         """A folder DLO* with pickles under train/ and eval/."""
-        return re.match(r"DLO\d", path.resolve().name) is not None and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+        return (
+            path.is_dir()
+            and re.match(r"DLO\d", path.resolve().name) is not None
+            and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+        )
 
     def open(self, path: Path, *, split: str = "published") -> MarkerCollection:
         """One twin on the training recordings, scored on every eval recording. Markers 0, 1, -2 and -1 are held by the robots."""

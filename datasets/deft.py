@@ -76,7 +76,11 @@ class Deft:
 
     def matches(self, path: Path) -> bool:
         """A folder BDLO* with pickles under train/ and eval/."""
-        return re.match(r"BDLO\d", path.resolve().name) is not None and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+        return (
+            path.is_dir()
+            and re.match(r"BDLO\d", path.resolve().name) is not None
+            and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+        )
 
     def open(self, path: Path, *, split: str = "published") -> MarkerCollection:
         """One twin on the training recordings, scored on every eval recording. A cable that is not in the table has its tree inferred.

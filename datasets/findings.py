@@ -6,13 +6,14 @@ A rule is a generator of ``Finding``. What it has found to be sound it returns, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from reprlib import Repr
 from typing import Any
 
-__all__ = ["UNREADABLE", "Finding", "Findings", "attempt", "changed", "collected", "count", "error", "refuse", "shown", "warning"]
+__all__ = ["UNREADABLE", "Finding", "Findings", "attempt", "changed", "collected", "count", "error", "named", "refuse", "shown", "warning"]
 
 _SHORT = Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
@@ -61,6 +62,15 @@ def attempt(file: Path, read: Callable, *arguments) -> Findings:
     except (ValueError, OSError) as failure:
         yield error("", str(failure).removeprefix(f"{file}: "), file)
         return UNREADABLE
+
+
+@contextmanager
+def named(file: Path) -> Iterator[None]:
+    """A ValueError that is raised within says which file it is about."""
+    try:
+        yield
+    except ValueError as failure:
+        raise ValueError(f"{file}: {str(failure).removeprefix(f'{file}: ')}") from None
 
 
 def changed(findings: Findings, change: Callable[[Finding], Finding]) -> Findings:

@@ -36,9 +36,9 @@ def plausible(values: Mapping[str, Any]) -> Findings:
         yield warning("points", f"{count(below, 'visible row')} more than {1000 * BELOW:g} mm below the table")
     if values.get("colors") is not None and not ((values["colors"][visible] >= 0) & (values["colors"][visible] <= 1)).all():
         yield warning("colors", "must lie in [0, 1] at visible points, and does not")
-    if "controllers" in values:
+    if values.get("controllers") is not None:
         yield from _hands(values["controllers"], values.get("grips"), body)
-    if "tracks" in values:
+    if values.get("tracks") is not None:
         yield from _tracks(values["tracks"], points, visible, body)
     yield from _cameras(values.get("cameras", ()), points, visible, body)
 

@@ -15,6 +15,7 @@ import numpy as np
 from .findings import Findings, count, error, shown
 
 __all__ = [
+    "FAR",
     "MAX_PIXELS",
     "camera_rules",
     "intrinsics_rules",

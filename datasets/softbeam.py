@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from .collection import Collection
+from .files import read_bytes
+from .findings import named
 from .scenario import Scenario, Split, TransferPair
 
 __all__ = ["LAYOUT", "Softbeam", "read_c3d", "release_frame", "softbeam_scenario"]
@@ -62,10 +64,7 @@ def read_c3d(file: Path) -> tuple[np.ndarray, float]:
 
 def _check_whole(file: Path) -> None:
     """Whether the file is as long as its header says (C3D specification: blocks of 512 bytes); ezc3d crashes on cut files."""
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror or error})") from error
+    data = read_bytes(file)
     if len(data) < 1024 or data[1] != 0x50:
         raise ValueError(f"{file}: not a readable c3d file (its header is missing)")
     if data[512 * (data[0] - 1) + 3 : 512 * (data[0] - 1) + 4] != b"T":  # 84: little endian, like all files since the 1990s
@@ -103,21 +102,22 @@ def softbeam_scenario(file: Path) -> Scenario:
     frames, tips = len(markers), markers[:, :3]
     held = np.broadcast_to(clamp, (frames, *clamp.shape))
     visible = np.broadcast_to(np.arange(3 + len(clamp)) < 3, (frames, 3 + len(clamp)))
-    return Scenario(
-        name=file.stem,
-        points=np.concatenate([tips, held], axis=1),
-        visible=visible,
-        motion_valid=visible & (np.arange(frames) < frames - 1)[:, None],
-        controllers=held,
-        interior=beam,
-        fps=rate,
-        gravity=np.array([-9.81, 0.0, 0.0]),
-        grips=3 + np.arange(len(clamp)),
-        object=_object(file),
-        session=file.stem,
-        split=Split(int(TRAIN_SHARE * frames), frames),
-        tracks=tips,
-    )
+    with named(file):
+        return Scenario(
+            name=file.stem,
+            points=np.concatenate([tips, held], axis=1),
+            visible=visible,
+            motion_valid=visible & (np.arange(frames) < frames - 1)[:, None],
+            controllers=held,
+            interior=beam,
+            fps=rate,
+            gravity=np.array([-9.81, 0.0, 0.0]),
+            grips=3 + np.arange(len(clamp)),
+            object=_object(file),
+            session=file.stem,
+            split=Split(int(TRAIN_SHARE * frames), frames),
+            tracks=tips,
+        )
 
 
 def _lattice(file, markers):
