@@ -107,7 +107,7 @@ def _arrays(file):
 
 
 def _type(value):
-    return f"dtype {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+    return f"dtype {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}" if value is not None else "None"
 
 
 def _track_array(file):

@@ -61,7 +61,7 @@ def _chunks(file):
     found, at = [], 8
     while not found or found[-1][0] != b"IEND":
         if len(data) < at + 12 or len(data) < at + 12 + (length := int.from_bytes(data[at : at + 4])):
-            raise ValueError(f"{file}: the image is cut short, {len(data)} bytes")
+            raise ValueError(f"{file}: the image must be complete, and is cut short at byte {len(data)}")
         kind, body = data[at + 4 : at + 8], data[at + 8 : at + 8 + length]
         if zlib.crc32(body, zlib.crc32(kind)) != int.from_bytes(data[at + 8 + length : at + 12 + length]):
             raise ValueError(f"{file}: the image is damaged, its chunk {kind!r} at byte {at} must have the check sum that it says")
