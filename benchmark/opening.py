@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 
 from ..datasets import collection as collections
-from ..datasets.collection import Collection, TransferPair, open_collection
+from ..datasets.collection import Collection, TransferPair, Unrecognised, open_collection
 from ..datasets.scenario import Scenario
 from .cache import Cache, digest
 from .checksum import code
@@ -122,7 +122,10 @@ def open_scenario(path: str) -> Scenario:
         try:
             collection = open_collection(start)
         except ValueError as error:
-            wrong = wrong or (ValueError(f"no recording at {path}: {error}") if name else error)
+            if wrong is None or not isinstance(error, Unrecognised):
+                wrong = ValueError(f"no recording at {path}: {error}") if name else error
+            if not isinstance(error, Unrecognised):  # it should be here, and cannot be read
+                break
             continue
         known = list(collection.scenarios)
         if name in known or (not name and len(known) == 1):

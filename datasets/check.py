@@ -5,6 +5,7 @@ The rules are the readers' own (``findings.py``): what is an error here is what 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from .check_images import image_rules
@@ -28,10 +29,10 @@ def check(path: str | Path) -> list[Finding]:
         return [finding for case in cases.values() for finding in check_case(case)]
     found, collection = collected(attempt(path, open_collection, path))
     for name, load in collection.scenarios.items() if collection is not UNREADABLE else ():
-        wrong, scenario = collected(attempt(path / name, load))
+        wrong, scenario = collected(attempt(path, load))
         if scenario is not UNREADABLE:
             wrong, _ = collected(plausible(vars(scenario)))
-        found += [Finding(path / name, finding.severity, finding.said) for finding in wrong]
+        found += [finding if finding.file not in (None, path) else replace(finding, file=path / name) for finding in wrong]
     return found
 
 

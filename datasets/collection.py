@@ -15,7 +15,7 @@ from .findings import refuse
 from .plausible import plausible
 from .scenario import Scenario, TransferPair
 
-__all__ = ["Collection", "Layout", "layouts", "nearest", "open_collection"]
+__all__ = ["Collection", "Layout", "Unrecognised", "layouts", "nearest", "open_collection"]
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,14 @@ def layouts() -> dict[str, Layout]:
     return found
 
 
+class Unrecognised(ValueError):
+    """Something is there, and no layout knows it."""
+
+
 def open_collection(path: str | Path, *, split: str = "published") -> Collection:
     """Open the recordings at ``path``, or the shipped ones by the name ``"sample"``.
 
-    Raises ValueError where nothing is there or no layout recognises it.
+    Raises ValueError where nothing is there, Unrecognised where no layout recognises it.
     """
     if split not in ("published", "clean"):
         raise ValueError(f"split must be 'published' or 'clean', got {split!r}")
@@ -93,7 +97,7 @@ def open_collection(path: str | Path, *, split: str = "published") -> Collection
             return layout.open(path, split=split)
     inside = [f.name for f in sorted(path.iterdir()) if any(layout.matches(f) for layout in known.values())] if path.is_dir() else []
     hint = f"; but one recognises {', '.join(inside[:8])} in it" if inside else ""
-    raise ValueError(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it{hint}")
+    raise Unrecognised(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it{hint}")
 
 
 def nearest(name: str, known) -> str:

@@ -45,6 +45,7 @@ def read_bytes(file: Path, limit: int = 2**31) -> bytes:
         finally:
             os.close(descriptor)
     except OSError as failure:
+        check_file(file)  # what cannot be opened may be a socket
         raise _unreadable(file, failure) from None
 
 

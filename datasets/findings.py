@@ -56,11 +56,13 @@ def warning(field: str, message: str, file: Path | None = None) -> Finding:
 
 
 def attempt(file: Path, read: Callable, *arguments) -> Findings:
-    """What ``read`` returns; where it raises ValueError or OSError ``UNREADABLE``, and an error of ``file`` that says why."""
+    """What ``read`` returns. Where it raises ValueError or OSError: ``UNREADABLE``, and an error of ``file``, or of one in it."""
     try:
         return read(*arguments)
     except (ValueError, OSError) as failure:
-        yield error("", str(failure).removeprefix(f"{file}: "), file)
+        said = str(failure).removeprefix(f"{file}: ")
+        inside, _, rest = said.partition(": ")
+        yield error("", rest, Path(inside)) if file in Path(inside).parents else error("", said, file)
         return UNREADABLE
 
 

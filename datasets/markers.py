@@ -16,7 +16,7 @@ import numpy as np
 
 from .collection import Collection
 from .files import check_file
-from .findings import named
+from .findings import named, shown
 from .rules import FAR
 from .scenario import Scenario, Split, TransferPair
 
@@ -164,8 +164,8 @@ def collect(
         _check_gaps(r, driven)
     cable = Cable(name, paths, _median_lengths(train, _edges(paths)), tuple(driven), down)
     if not (np.all(cable.lengths > 0.001) and np.all(cable.lengths < 1)):
-        shown = np.array2string(cable.lengths, precision=4)
-        raise ValueError(f"{path}: neighbouring markers must be 1 mm to 1 m apart (positions in metres), got median distances {shown}")
+        got = shown([round(float(length), 4) for length in cable.lengths])
+        raise ValueError(f"{path}: neighbouring markers must be 1 mm to 1 m apart (positions in metres), got median distances {got}")
     session = dict(zip((r.name for r in recordings), sessions(recordings), strict=True))
     bad = {r.name for r in recordings if faulty(r, cable)}
     held_out = {session[r.name] for r in recordings if r.side == "eval"}

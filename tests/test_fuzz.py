@@ -1,6 +1,5 @@
 """Hundreds of spoilt recordings: nothing raises but ValueError, nothing hangs, refusals say what is wrong, and check and run agree."""
 
-import re
 import shutil
 import warnings
 from collections import Counter
@@ -8,25 +7,13 @@ from collections import Counter
 import numpy as np
 import pytest
 from clean_case import clean
-from fuzz import spoil, within
+from fuzz import said_well, spoil, within
 from twinbench.benchmark.cache import Cache
 from twinbench.benchmark.opening import open_recordings, open_scenario
 from twinbench.datasets.check import check
 from twinbench.metrics.base import get_metric, score
 
 LIMIT = 20  # s a case, of some 0.1: a hang, not a slow machine
-RULE = (
-    r" must | missing|cannot be read \(|not a (JSON|PNG|\.npy|complete|readable)|no human mask|unknown key|refused, it|may only be null|"
-    r"none of the layouts"
-)
-# what Python says of itself, and not of the data
-RAW = r"object of type|NoneType|not subscriptable|unsupported operand|list index|could not convert|invalid literal|has no attribute"
-
-
-def said_well(message, folder):
-    """Whether a refusal names the file, the rule and what is wrong with it, in one line."""
-    at = re.match(rf"(no recordings at )?{re.escape(str(folder))}(/[\w./-]+)?: (?P<said>.+)", message)
-    return bool(at) and bool(re.search(RULE, f" {at['said']}")) and not re.search(RAW, message) and "\n" not in message
 
 
 def attempted(do):

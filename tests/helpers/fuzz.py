@@ -7,6 +7,7 @@ import json
 import math
 import os
 import pickle
+import re
 import shutil
 import signal
 import socket
@@ -28,6 +29,20 @@ ARRAYS = (
     "object_colors",
 )
 DEEP = 100_000  # levels: far beyond what Python recurses to
+
+
+RULE = (
+    r" must | missing|cannot be read \(|not a (JSON|PNG|\.npy|complete|readable)|no human mask|unknown key|refused, it|may only be null|"
+    r"none of the layouts"
+)
+# what Python says of itself, and not of the data
+RAW = r"object of type|NoneType|not subscriptable|unsupported operand|list index|could not convert|invalid literal|has no attribute"
+
+
+def said_well(message, folder):
+    """Whether a refusal names the file, the rule and what is wrong with it, in one line."""
+    at = re.match(rf"(no recording at \S+: )?(no recordings at )?{re.escape(str(folder))}(/[\w./-]+)?: (?P<said>.+)", message)
+    return bool(at) and bool(re.search(RULE, f" {at['said']}")) and not re.search(RAW, message) and "\n" not in message
 
 
 @contextmanager
@@ -144,7 +159,7 @@ def _nested(levels):
     return value
 
 
-def _changed(value, random):
+def changed(value, random):
     while True:
         how = random.choice(list(ARRAY))
         try:
@@ -164,14 +179,14 @@ def spoil_array(folder, random):
             del data[what]
             how = "removed"
         else:
-            how, data[what] = _changed(data[what], random)
+            how, data[what] = changed(data[what], random)
     elif what == "pose":
         if random.random() < 0.3:
             how, data[0] = "inverted", np.linalg.inv(data[0])
         else:
-            how, data[0] = _changed(data[0], random)
+            how, data[0] = changed(data[0], random)
     else:
-        how, data = _changed(data, random)
+        how, data = changed(data, random)
     file.write_bytes(pickle.dumps(data))
     return f"{what} {how}"
 
