@@ -90,10 +90,17 @@ FILE = {
 }
 
 
+def content(file):
+    """What a file holds that was not spoilt before into something that cannot be read, or never ends."""
+    if not file.is_file():
+        raise OSError(f"{file} is no file any more")
+    return file.read_bytes()
+
+
 def spoil_file(file, random):
     how = random.choice([*FILE, "cut", "flipped", "twice"])
     if how in ("cut", "flipped", "twice"):
-        data = bytearray(file.read_bytes())
+        data = bytearray(content(file))
         if how == "cut":
             data = data[: random.integers(len(data))]
         elif how == "twice":
@@ -173,7 +180,7 @@ def changed(value, random):
 def spoil_array(folder, random):
     what = random.choice([*ARRAYS, "tracks", "poses", "pose"])
     file = folder / {"tracks": "gt_track_3d.pkl", "poses": "calibrate.pkl", "pose": "calibrate.pkl"}.get(what, "final_data.pkl")
-    data = pickle.loads(file.read_bytes())
+    data = pickle.loads(content(file))
     if what in data if isinstance(data, dict) else False:
         if random.random() < 0.05:
             del data[what]
@@ -209,7 +216,7 @@ VALUES = (
 
 def spoil_json(folder, random):
     file = folder / random.choice(["split.json", "metadata.json", "mask/mask_info_0.json", "scenario.json", "scenario.json"])
-    given = SCENARIO if file.name == "scenario.json" else json.loads(file.read_text())
+    given = SCENARIO if file.name == "scenario.json" else json.loads(content(file))
     key, how = str(random.choice(list(given))), random.choice(["missing", "value", "value", "value", "inside", "unknown", "text"])
     if how == "missing":
         given = {k: v for k, v in given.items() if k != key}
