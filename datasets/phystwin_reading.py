@@ -89,7 +89,7 @@ def _arrays(file):
     if data is UNREADABLE:
         return {}
     if not isinstance(data, dict):
-        yield error("", f"must hold a dict of arrays, got a {type(data).__name__}", file)
+        yield error("", f"must hold a dict of arrays, got {_type(data)}", file)
         return {}
     found = {}
     for key, field in ARRAYS.items():
@@ -167,7 +167,7 @@ def _extra(folder):
     file = folder / _SCENARIO
     given = (yield from attempt(file, read_json, file)) if present(file) else {}
     given, extra = dict(given) if given is not UNREADABLE else {}, defaults(name_of(folder))
-    for key in set(given) - set(_EXTRA):
+    for key in [key for key in given if key not in _EXTRA]:
         yield error(f"unknown key {shown(key)};", nearest(key, _EXTRA), file)
         del given[key]
     extra |= given

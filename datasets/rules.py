@@ -46,7 +46,7 @@ _SHAPES = {  # the axes of each array; a letter is the same number everywhere
 }
 _AXES = {"T": "frames", "L": "frames", "N": "points", "C": "controllers", "S": "points", "I": "points", "K": "tracks"}
 _FLAGS = ("visible", "motion_valid")
-_MAY_BE_NAN = ("points", "colors", "tracks")
+_MAY_BE_NONE = ("colors", "grips", "tracks")
 
 
 def observed_rules(values: Mapping[str, Any]) -> Findings:
@@ -67,7 +67,7 @@ def scenario_rules(values: Mapping[str, Any]) -> Findings:
 def _rules(values, shapes):
     sizes, good = {"3": 3}, {}
     for name, axes in shapes.items():
-        if values.get(name) is not None:
+        if name in values and not (name in _MAY_BE_NONE and values[name] is None):
             array = yield from _array(name, values[name], axes, sizes)
             if array is not None:
                 good[name] = array

@@ -306,6 +306,8 @@ FAULTS = {
     "half a grip": (extra(grips=[0.5, -1]), "error", "scenario.json", r"grips must be integers, got \[0.5, -1.0\]"),
     "grip of nobody": (extra(grips=[18, -1]), "error", "scenario.json", "grips must be -1 or the index of one of the 18 points"),
     "gravity in mm": (extra(gravity=[0, 0, 9810]), "error", "scenario.json", r"gravity must be at most 100 m/s\^2, got 9810"),
+    "no gravity": (extra(gravity=None), "error", "scenario.json", r"gravity must have shape \(3,\), got \(\)"),
+    "nothing": (write("final_data.pkl", None), "error", "final_data.pkl", "must hold a dict of arrays, got None"),
     "flat gravity": (extra(gravity=9.8), "error", "scenario.json", r"gravity must have shape \(3,\), got \(\)"),
     "object": (extra(object=["a"]), "error", "scenario.json", r"object must be a str, got \['a'\]"),
     "twice": (write("scenario.json", b'{"object": "a", "object": "b"}'), "error", "scenario.json", "'object' must be given once"),
