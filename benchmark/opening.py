@@ -11,11 +11,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache as once
 from functools import partial
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 
 from ..datasets import collection as collections
-from ..datasets.collection import Collection, TransferPair, layouts, open_collection, recognises
+from ..datasets.collection import Collection, TransferPair, Unrecognised, layouts, open_collection, recognises
 from ..datasets.scenario import Scenario
 from ..methods.modules import modules_of
 from .cache import Cache, digest
@@ -25,6 +25,7 @@ from .text import check_name
 
 __all__ = ["Opened", "description_origin", "folder_of", "listing", "open_all", "open_recordings", "open_scenario"]
 
+MOST_FILES = 10**6  # the published recordings with all that is made from them are some 200,000
 LEVELS = 4  # a recording's name may be so deep below its folder
 
 
@@ -52,18 +53,24 @@ def folder_of(path: str) -> Path:
 
 
 def listing(folder: Path) -> str:
-    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``, hidden ones left out."""
+    """Hexadecimal SHA-256 of the names, sizes and times of change of all files at or below ``folder``, hidden ones left out.
+
+    Raises ValueError where there are more than ``MOST_FILES``.
+    """
     folder = Path(folder).resolve()
-    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in sorted(_files(folder))]
+    found = list(islice(_files(folder), MOST_FILES + 1))
+    if len(found) > MOST_FILES:
+        raise ValueError(f"{folder}: recordings must have at most {MOST_FILES} files in all, got more: name a folder further down")
+    seen = [(str(file), (stat := file.stat()).st_size, stat.st_mtime_ns, stat.st_ctime_ns) for file in sorted(found)]
     return digest(str(folder), seen)
 
 
 def _files(folder: Path) -> Iterator[Path]:
     if folder.is_file():
         yield folder
-    visited = set()
+    visited = {str(parent) for parent in folder.parents}  # whoever links back up does not mean all that is there
     for root, folders, names in os.walk(folder, followlinks=True):
-        if (real := os.path.realpath(root)) in visited:  # a link back up
+        if (real := os.path.realpath(root)) in visited:
             folders.clear()
             continue
         visited.add(real)
@@ -162,7 +169,10 @@ def open_scenario(path: str) -> Scenario:
         try:
             collection = open_collection(start)
         except ValueError as error:
-            wrong = wrong or (ValueError(f"no recording at {path}: {error}") if name else error)
+            if wrong is None or not isinstance(error, Unrecognised):
+                wrong = ValueError(f"no recording at {path}: {error}") if name else error
+            if not isinstance(error, Unrecognised):  # it should be here, and cannot be read
+                break
             continue
         known = list(collection.scenarios)
         if name in known or (not name and len(known) == 1):

@@ -12,10 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from .findings import refuse
+from .plausible import plausible
 from .plugins import Kind, Origin, discover, nearest, said, warn
 from .scenario import Scenario, TransferPair
 
-__all__ = ["Collection", "Layout", "layouts", "nearest", "open_collection", "recognises"]
+__all__ = ["Collection", "Layout", "Unrecognised", "layouts", "nearest", "open_collection", "recognises"]
 
 
 @dataclass(frozen=True)
@@ -42,13 +44,14 @@ class Collection:
             raise ValueError(f"collection {self.name}: {name} is scored but is not among its scenarios")
 
     def load(self, name: str) -> Scenario:
-        """Read one scenario. An unknown name raises ValueError with the nearest known one."""
+        """Read one scenario. Raises ValueError with the nearest name for an unknown one, and where its fields cannot belong together."""
         if name not in self.scenarios:
             raise ValueError(f"unknown scenario {name!r} in {self.name}; {nearest(name, self.scenarios)}")
         with _as_input(f"scenario {name} of {self.name}"):
             scenario = self.scenarios[name]()
         if not isinstance(scenario, Scenario):
             raise ValueError(f"scenario {name} of {self.name} must be read as a Scenario, got {type(scenario).__name__}")
+        refuse(plausible(vars(scenario)), where=f" (scenario {name} of {self.name})")
         return scenario
 
 
@@ -102,10 +105,14 @@ def recognises(layout: Layout, path: Path) -> bool:
         return False
 
 
+class Unrecognised(ValueError):
+    """Something is there, and no layout knows it."""
+
+
 def open_collection(path: str | Path, *, split: str = "published") -> Collection:
     """Open the recordings at ``path``, or the shipped ones by the name ``"sample"``.
 
-    Raises ValueError where nothing is there or no layout recognises it.
+    Raises ValueError where nothing is there, Unrecognised where no layout recognises it.
     """
     if split not in ("published", "clean"):
         raise ValueError(f"split must be 'published' or 'clean', got {split!r}")
@@ -124,4 +131,4 @@ def open_collection(path: str | Path, *, split: str = "published") -> Collection
             return found
     inside = [f.name for f in sorted(path.iterdir()) if any(recognises(layout, f) for layout in known.values())] if path.is_dir() else []
     hint = f"; but one recognises {', '.join(inside[:8])} in it" if inside else ""
-    raise ValueError(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it{hint}")
+    raise Unrecognised(f"no recordings at {path}: none of the layouts {', '.join(known)} recognises it{hint}")

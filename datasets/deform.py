@@ -38,7 +38,8 @@ class Deform:
     def matches(self, path: Path) -> bool:
         """A folder DLO* with pickles under train/ and eval/."""
         try:
-            return re.match(r"DLO\d", path.resolve().name) is not None and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+            named = path.is_dir() and re.match(r"DLO\d", path.resolve().name) is not None
+            return named and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
         except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
             return False
 

@@ -73,7 +73,8 @@ class Deft:
     def matches(self, path: Path) -> bool:
         """A folder BDLO* with pickles under train/ and eval/."""
         try:
-            return re.match(r"BDLO\d", path.resolve().name) is not None and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
+            named = path.is_dir() and re.match(r"BDLO\d", path.resolve().name) is not None
+            return named and all(any(path.glob(f"{s}/*.pkl")) for s in ("train", "eval"))
         except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
             return False
 

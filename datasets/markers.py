@@ -15,6 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from .collection import Collection
+from .files import check_file
+from .findings import named, shown
+from .rules import FAR
 from .scenario import Scenario, Split, TransferPair
 
 __all__ = ["Cable", "MarkerCollection", "Recording", "collect", "faulty", "infer_paths", "read_splits", "sessions"]
@@ -100,29 +103,33 @@ class Cable:
         """All markers are points, the driven ones grips. Training recordings may be fitted whole, eval recordings over their first 70 %."""
         markers, frames = recording.markers, len(recording.markers)
         visible = np.isfinite(markers).all(-1)
-        return Scenario(
-            name=recording.name,
-            points=np.where(visible[..., None], markers, 0.0),
-            visible=visible,
-            motion_valid=np.concatenate([visible[:-1] & visible[1:], np.zeros_like(visible[:1])]),
-            controllers=markers[:, list(self.driven)],
-            interior=self.between(markers[0]),
-            fps=100.0,
-            gravity=9.81 * np.asarray(self.down),
-            grips=np.asarray(self.driven),
-            object=self.name,
-            session=session,
-            split=Split(frames if recording.side == "train" else int(TRAIN_SHARE * frames), frames),
-            tracks=markers,
-        )
+        with named(recording.file):
+            return Scenario(
+                name=recording.name,
+                points=np.where(visible[..., None], markers, 0.0),
+                visible=visible,
+                motion_valid=np.concatenate([visible[:-1] & visible[1:], np.zeros_like(visible[:1])]),
+                controllers=markers[:, list(self.driven)],
+                interior=self.between(markers[0]),
+                fps=100.0,
+                gravity=9.81 * np.asarray(self.down),
+                grips=np.asarray(self.driven),
+                object=self.name,
+                session=session,
+                split=Split(frames if recording.side == "train" else int(TRAIN_SHARE * frames), frames),
+                tracks=markers,
+            )
 
 
 def read_splits(path: Path, read: Callable[[Path], np.ndarray]) -> list[Recording]:
     """Every ``path``/{train,eval}/*.pkl in natural order, read by ``read`` (file -> (T, V, 3)) and checked.
 
-    Raises ValueError, naming the file, for what ``read`` refuses, too few frames, infinities, or a marker count unlike the other files'.
+    Raises ValueError, naming the file, for what ``read`` refuses, too few frames, markers beyond ``FAR``, or of another number than in the
+    other files.
     """
     files = [f for side in ("train", "eval") for f in sorted((path / side).glob("*.pkl"), key=_natural)]
+    for f in files:
+        check_file(f)
     recordings = [Recording(f"{f.parent.name}/{f.stem}", f, read(f)) for f in files]
     counts = [r.markers.shape[1] for r in recordings]
     for r in recordings:
@@ -130,8 +137,8 @@ def read_splits(path: Path, read: Callable[[Path], np.ndarray]) -> list[Recordin
             raise ValueError(f"{r.file}: a recording must have at least {MIN_FRAMES} frames, got {len(r.markers)}")
         if r.markers.shape[1] != (most := max(set(counts), key=counts.count)):
             raise ValueError(f"{r.file}: must have {most} markers like the other recordings, got {r.markers.shape[1]}")
-        if np.isinf(r.markers).any():
-            raise ValueError(f"{r.file}: marker positions must not be infinite")
+        if (size := np.abs(np.nan_to_num(r.markers, nan=0.0, posinf=np.inf, neginf=np.inf)).max()) > FAR:
+            raise ValueError(f"{r.file}: marker positions must lie within {FAR:g} m of the origin, got {size:.6g} m")
     return recordings
 
 
@@ -157,8 +164,8 @@ def collect(
         _check_gaps(r, driven)
     cable = Cable(name, paths, _median_lengths(train, _edges(paths)), tuple(driven), down)
     if not (np.all(cable.lengths > 0.001) and np.all(cable.lengths < 1)):
-        shown = np.array2string(cable.lengths, precision=4)
-        raise ValueError(f"{path}: neighbouring markers must be 1 mm to 1 m apart (positions in metres), got median distances {shown}")
+        got = shown([round(float(length), 4) for length in cable.lengths])
+        raise ValueError(f"{path}: neighbouring markers must be 1 mm to 1 m apart (positions in metres), got median distances {got}")
     session = dict(zip((r.name for r in recordings), sessions(recordings), strict=True))
     bad = {r.name for r in recordings if faulty(r, cable)}
     held_out = {session[r.name] for r in recordings if r.side == "eval"}

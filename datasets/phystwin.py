@@ -14,143 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from . import safe_pickle
-from .catalogue import CASES, self_collides
-from .collection import nearest
-from .phystwin_images import CaseImages, read_json, write_images
-from .scenario import Camera, Plane, Scenario, Split
+from .catalogue import CASES
+from .findings import refuse
+from .phystwin_images import write_images
+from .phystwin_reading import ARRAYS, defaults, reading
+from .scenario import Scenario
 
-__all__ = ["ARRAYS", "read_arrays", "read_case", "read_extra", "read_split", "write_case"]
-
-# key of final_data.pkl -> field of Scenario; the first four must be there
-ARRAYS = {
-    "object_points": "points",
-    "object_visibilities": "visible",
-    "object_motions_valid": "motion_valid",
-    "controller_points": "controllers",
-    "surface_points": "surface",
-    "interior_points": "interior",
-    "object_colors": "colors",
-}
-_REQUIRED = tuple(ARRAYS)[:4]
-_EXTRA = ("gravity", "ground", "object", "session", "self_collision", "grips", "colors")
+__all__ = ["read_case", "write_case"]
 
 
 def read_case(folder: str | Path) -> Scenario:
     """The recording in ``folder``, named like it. Images are opened when asked for; cameras, images and tracks may be absent.
 
-    Raises ValueError naming the file and what is wrong with it.
+    Raises ValueError naming the file, the field, the rule and the value: the first error that ``check_case`` finds.
     """
-    folder = Path(folder).resolve()
-    data = read_arrays(folder / "final_data.pkl")
-    extra = read_extra(folder)
-    length = len(data["object_points"])
-    split = read_split(folder / "split.json", length)
-    metadata = read_json(folder / "metadata.json") if (folder / "metadata.json").exists() else {}
-    tracks = folder / "gt_track_3d.pkl"
-    values = {field: data[key] for key, field in ARRAYS.items() if key in data}
-    values |= {k: v for k, v in extra.items() if k != "colors"}
-    if "colors" in extra:
-        values["colors"] = None
-    try:
-        return Scenario(
-            name=folder.name,
-            **values,
-            split=split,
-            fps=_fps(metadata),
-            cameras=_read_cameras(folder, metadata),
-            images=CaseImages(folder, length) if any((folder / kind).is_dir() for kind in ("color", "depth", "mask")) else None,
-            tracks=safe_pickle.array_of(safe_pickle.load(tracks), tracks, "the content") if tracks.exists() else None,
-        )
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{folder}: {error}") from None
-
-
-def read_arrays(file: Path) -> dict:
-    """The arrays of a ``final_data.pkl`` by their published keys. Raises ValueError where one that is needed is missing."""
-    data = safe_pickle.load(file)
-    if not isinstance(data, dict):
-        raise ValueError(f"{file}: must hold a dict of arrays, got a {type(data).__name__}")
-    missing = [key for key in _REQUIRED if key not in data]
-    if missing:
-        raise ValueError(f"{file}: {', '.join(missing)} missing; it holds {', '.join(map(str, data)) or 'nothing'}")
-    for key in set(ARRAYS) & set(data):
-        safe_pickle.array_of(data[key], file, key)
-    if data["object_points"].ndim != 3:
-        raise ValueError(f"{file}: object_points must have shape (frames, points, 3), got {data['object_points'].shape}")
-    return data
-
-
-def read_split(file: Path, frame_count: int) -> Split:
-    """The train and test ranges in ``file``, which must divide ``frame_count`` frames in two, train first."""
-    split = read_json(file)
-    try:
-        length, (start, end), (test_start, test_end) = split["frame_len"], split["train"], split["test"]
-    except (KeyError, TypeError, ValueError):
-        raise ValueError(f"{file}: must hold frame_len, train [0, end) and test [end, frame_len), got {split}") from None
-    if not all(type(n) is int for n in (length, start, end, test_start, test_end)):
-        raise ValueError(f"{file}: frame numbers must be integers, got {split}")
-    if length != frame_count:
-        raise ValueError(f"{file}: frame_len is {length}, but the recording has {frame_count} frames")
-    if start != 0 or test_start != end or test_end != length:
-        raise ValueError(f"{file}: train must be [0, end) and test [end, {length}), got train {split['train']} and test {split['test']}")
-    try:
-        return Split(end, length)
-    except ValueError as error:
-        raise ValueError(f"{file}: {error}") from None
-
-
-def _defaults(name):
-    """What a case is taken to be where no ``scenario.json`` says otherwise."""
-    return {
-        "gravity": [0.0, 0.0, 9.8],
-        "ground": {"normal": [0.0, 0.0, -1.0], "offset": 0.0},
-        "object": CASES[name].object if name in CASES else name,
-        "session": name,
-        "self_collision": self_collides(name),
-    }
-
-
-def read_extra(folder: Path) -> dict:
-    """What ``scenario.json`` says, over the published defaults. Raises ValueError naming the file."""
-    file = folder / "scenario.json"
-    given = read_json(file) if file.exists() else {}
-    for key in given:
-        if key not in _EXTRA:
-            raise ValueError(f"{file}: unknown key {key!r}; {nearest(key, _EXTRA)}")
-    extra = _defaults(folder.name) | given
-    for key, kind in (("object", str), ("session", str), ("self_collision", bool)):
-        if not isinstance(extra[key], kind):
-            raise ValueError(f"{file}: {key} must be a {kind.__name__}, got {extra[key]!r}")
-    if extra.get("colors") is not None:
-        raise ValueError(f"{file}: colors may only be null (none were recorded), got {extra['colors']!r}")
-    if extra["ground"] is not None:
-        try:
-            extra["ground"] = Plane(np.array(extra["ground"]["normal"], float), float(extra["ground"]["offset"]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{file}: ground must be null or a unit normal and an offset [m]: {error}") from None
-    return extra
-
-
-def _fps(metadata):
-    fps = metadata.get("fps", 30.0)
-    if type(fps) not in (int, float) or not 0 < fps < float("inf"):
-        raise ValueError(f"metadata.json: fps must be a number > 0, got {fps!r}")
-    return float(fps)
-
-
-def _read_cameras(folder, metadata):
-    file = folder / "calibrate.pkl"
-    if not file.exists() or not metadata.get("intrinsics"):
-        return ()
-    poses, intrinsics = safe_pickle.numbers_of(safe_pickle.load(file), file, "the content"), metadata["intrinsics"]
-    if poses.ndim != 3 or len(poses) != len(intrinsics):
-        raise ValueError(f"calibrate.pkl must hold one 4 x 4 matrix for each of the {len(intrinsics)} cameras of metadata.json")
-    try:
-        width, height = metadata["WH"]
-    except (KeyError, TypeError, ValueError):
-        raise ValueError(f"metadata.json: WH must be [width, height] in pixels, got {metadata.get('WH')}") from None
-    return tuple(Camera(np.array(k), np.array(pose), width, height) for k, pose in zip(intrinsics, poses, strict=True))
+    return Scenario(**refuse(reading(Path(folder))))
 
 
 def write_case(
@@ -230,7 +108,7 @@ def _write_scenario(folder, name, scenario):
         _dump(folder / "calibrate.pkl", [c.camera_to_world for c in scenario.cameras])
     _write_json(folder / "metadata.json", metadata)
     extra = _extra_of(scenario)
-    extra = {key: value for key, value in extra.items() if key not in (usual := _defaults(name)) or value != usual[key]}
+    extra = {key: value for key, value in extra.items() if key not in (usual := defaults(name)) or value != usual[key]}
     if extra:
         _write_json(folder / "scenario.json", extra)
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import json
-import struct
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from . import safe_pickle
+from .files import load_pickle, present, read_json
+from .findings import shown
+from .pictures import read_depth, read_png, write_png
 
-__all__ = ["CaseImages", "mask_labels", "read_json", "write_images"]
+__all__ = ["HAND", "CaseImages", "mask_labels", "object_label", "processed_mask", "write_images"]
 
-MAX_PIXELS = 1 << 26  # 8192 x 8192, more than a camera has: a PNG of some kB can unpack to more than the memory
 HAND = "hand"  # the label that the published detector gives to hands; any other label is the object
 
 
@@ -37,37 +37,21 @@ class CaseImages:
     def color(self, camera: int, frame: int) -> np.ndarray:
         """(H, W, 3) uint8 RGB."""
         self._within_reach(frame)
-        return _read_png(self.folder / "color" / str(camera) / f"{frame}.png", color=True)
+        return read_png(self.folder / "color" / str(camera) / f"{frame}.png", color=True)
 
     def depth(self, camera: int, frame: int) -> np.ndarray:
         """(H, W) float32 metres, 0 where the sensor gave nothing. The files hold integer millimetres."""
         self._within_reach(frame)
-        file = self.folder / "depth" / str(camera) / f"{frame}.npy"
-        try:
-            depth = np.load(file, mmap_mode="r", allow_pickle=False)  # mapped: a header that lies about the size takes no memory
-        except Exception as error:  # a damaged header can fail in any way
-            raise ValueError(f"{file}: no depth image ({error})") from None
-        if not (isinstance(depth, np.ndarray) and depth.ndim == 2 and depth.dtype.kind in "iu"):
-            raise ValueError(f"{file}: depth must be a (height, width) array of integer millimetres")
+        depth = read_depth(self.folder / "depth" / str(camera) / f"{frame}.npy")
         return depth.astype(np.float32) / np.float32(1000)
 
     def mask(self, camera: int, frame: int) -> np.ndarray:
         """(H, W) bool, the object: the segmentation, or the cleaned mask (processed_masks.pkl) where only that is there."""
         self._within_reach(frame)
         file = self.folder / "mask" / "processed_masks.pkl"
-        if not (self.folder / "mask" / f"mask_info_{camera}.json").exists() and file.exists():
-            try:
-                mask = self._processed[frame][camera]["object"]
-            except (KeyError, IndexError, TypeError):
-                raise ValueError(f"{file}: no frame {frame} of camera {camera}") from None
-            return safe_pickle.array_of(mask, file, f"the mask of camera {camera} in frame {frame}").astype(bool)
-        labels = mask_labels(self.folder, camera)
-        ids = [i for i, label in labels.items() if label != HAND]
-        if len(ids) != 1:
-            raise ValueError(
-                f"{self.folder / 'mask' / f'mask_info_{camera}.json'}: exactly one label must be the object (not {HAND!r}), got {labels}"
-            )
-        return self._segmentation(self.folder / "mask", camera, ids, frame)
+        if not present(self.folder / "mask" / f"mask_info_{camera}.json") and present(file):
+            return processed_mask(file, self._processed, camera, frame)
+        return self._segmentation(self.folder / "mask", camera, [object_label(self.folder, camera)], frame)
 
     def human_mask(self, camera: int, frame: int) -> np.ndarray:
         """(H, W) bool, hands and arms: the tree ``<parent>_human_mask`` beside the cases if it is there, else the hands' masks."""
@@ -87,33 +71,47 @@ class CaseImages:
 
     @staticmethod
     def _segmentation(root, camera, ids, frame):
-        return np.any([_read_png(root / str(camera) / i / f"{frame}.png") > 0 for i in ids], axis=0)
+        return np.any([read_png(root / str(camera) / i / f"{frame}.png") > 0 for i in ids], axis=0)
 
     @cached_property
     def _processed(self):
-        masks = safe_pickle.load(self.folder / "mask" / "processed_masks.pkl")
+        file = self.folder / "mask" / "processed_masks.pkl"
+        masks = load_pickle(file)
         if not isinstance(masks, (dict, list)):
-            raise ValueError(f"{self.folder / 'mask' / 'processed_masks.pkl'}: must hold masks by frame, got a {type(masks).__name__}")
+            raise ValueError(f"{file}: must hold masks by frame, got a {type(masks).__name__}")
         reach = range(min(self.frame_count, len(masks)))
         return {t: masks[t] for t in (reach if isinstance(masks, list) else masks) if t in range(self.frame_count)}
 
 
+def processed_mask(file: Path, masks, camera: int, frame: int, kind: str = "object") -> np.ndarray:
+    """(H, W) bool, the mask of ``kind`` among those that ``file`` holds by frame and camera. Raises ValueError naming the file."""
+    try:
+        mask = masks[frame][camera][kind]
+    except (KeyError, IndexError, TypeError):
+        raise ValueError(f"{file}: must hold a mask {kind!r} of frame {frame}, camera {camera}, and has none") from None
+    if not isinstance(mask, np.ndarray) or mask.ndim != 2 or mask.dtype.kind not in "biu":
+        raise ValueError(f"{file}: the mask {kind!r} of frame {frame}, camera {camera} must be a (height, width) array, got {shown(mask)}")
+    return mask.astype(bool)
+
+
 def mask_labels(folder: Path, camera: int) -> dict[str, str]:
     """{mask id: label} of one camera. Raises ValueError naming the file."""
-    return {str(i): str(label) for i, label in read_json(folder / "mask" / f"mask_info_{camera}.json").items()}
+    file = folder / "mask" / f"mask_info_{camera}.json"
+    labels = read_json(file)
+    for i, label in labels.items():
+        if not (i.isascii() and i.isdecimal() and isinstance(label, str)):
+            raise ValueError(f"{file}: must say what each mask is, as in {{'0': 'hand', '1': 'toy'}}, got {shown(i)}: {shown(label)}")
+    return labels
 
 
-def read_json(file: Path) -> dict:
-    """The JSON object in ``file``. Raises ValueError naming the file where it is missing or damaged."""
-    try:
-        value = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror or error})") from None
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{file}: not a JSON file ({error})") from None
-    if not isinstance(value, dict):
-        raise ValueError(f"{file}: must hold a JSON object, got a {type(value).__name__}")
-    return value
+def object_label(folder: Path, camera: int) -> str:
+    """The id of the object's mask of one camera. Raises ValueError naming the file where not exactly one is the object's."""
+    labels = mask_labels(folder, camera)
+    objects = [i for i, label in labels.items() if label != HAND]
+    if len(objects) != 1:
+        file = folder / "mask" / f"mask_info_{camera}.json"
+        raise ValueError(f"{file}: exactly one label must be the object (not {HAND!r}), got {shown(labels)}")
+    return objects[0]
 
 
 def write_images(folder: Path, frame_count: int, *, color=None, depth=None, masks=None, hand_masks=None, label="object", cameras=()):
@@ -128,7 +126,7 @@ def write_images(folder: Path, frame_count: int, *, color=None, depth=None, mask
     for camera, t, image in _each("color", color, frame_count, cameras):
         if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
             raise ValueError(f"color of camera {camera}, frame {t} must be (H, W, 3) uint8, got {image.shape} {image.dtype}")
-        _write_png(folder / "color" / str(camera) / f"{t}.png", image[..., ::-1])
+        write_png(folder / "color" / str(camera) / f"{t}.png", image[..., ::-1])
     for camera, t, image in _each("depth", depth, frame_count, cameras):
         file = folder / "depth" / str(camera) / f"{t}.npy"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -138,7 +136,7 @@ def write_images(folder: Path, frame_count: int, *, color=None, depth=None, mask
             if image.ndim != 2 or image.dtype != bool:
                 raise ValueError(f"{kind} mask of camera {camera}, frame {t} must be (H, W) bool, got {image.shape} {image.dtype}")
             masked.add(camera)
-            _write_png(folder / "mask" / str(camera) / ids[kind] / f"{t}.png", image.astype(np.uint8) * 255)
+            write_png(folder / "mask" / str(camera) / ids[kind] / f"{t}.png", image.astype(np.uint8) * 255)
     labels = {i: HAND if kind == "hand" else label for kind, i in ids.items() if kind == "hand" or masks is not None}
     for camera in masked:
         (folder / "mask" / f"mask_info_{camera}.json").write_text(json.dumps(labels), encoding="utf-8")
@@ -171,38 +169,3 @@ def _millimetres(depth, where):
     if depth.min(initial=0) < 0 or depth.max(initial=0) > 65.535:
         raise ValueError(f"{where} must lie in [0, 65.535] m, got [{depth.min()}, {depth.max()}]")
     return np.round(depth.astype(np.float64) * 1000).astype(np.uint16)
-
-
-def _cv2():
-    try:
-        import cv2
-    except ImportError as error:
-        raise ImportError("images need OpenCV: pip install opencv-python-headless") from error
-    return cv2
-
-
-def _read_png(file, *, color=False):
-    cv2 = _cv2()
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{file}: no image ({error.strerror or error})") from None
-    if data[:8] != b"\x89PNG\r\n\x1a\n" or len(data) < 24:
-        raise ValueError(f"{file}: not a complete image")
-    width, height = struct.unpack(">II", data[16:24])
-    if width * height > MAX_PIXELS:
-        raise ValueError(f"{file}: an image may have up to {MAX_PIXELS} pixels, got {width} x {height}")
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR if color else cv2.IMREAD_GRAYSCALE)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise ValueError(f"{file}: not a complete image")
-    return np.ascontiguousarray(image[..., ::-1]) if color else image
-
-
-def _write_png(file, image):
-    cv2 = _cv2()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    _, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    file.write_bytes(data.tobytes())

@@ -8,7 +8,9 @@ from pathlib import Path
 
 from .catalogue import CASES, CITATION, PAIRS, PUBLISHED
 from .collection import Collection
-from .phystwin import read_case, read_extra
+from .files import present
+from .phystwin import read_case
+from .phystwin_reading import read_extra
 from .scenario import TransferPair
 
 __all__ = ["LAYOUT", "case_folders"]
@@ -17,14 +19,21 @@ __all__ = ["LAYOUT", "case_folders"]
 def case_folders(path: Path) -> dict[str, Path]:
     """The cases at ``path`` by name: itself, or the folders in it, in ``different_types`` or in ``data/different_types``."""
     path = Path(path)
-    if (path / "final_data.pkl").is_file():
+    if _is_case(path):
         return {path.resolve().name: path}
     for root in (path, path / "different_types", path / "data" / "different_types"):
         if root.is_dir():
-            found = {f.name: f for f in sorted(root.iterdir()) if not f.name.startswith(".") and (f / "final_data.pkl").is_file()}
+            found = {f.name: f for f in sorted(root.iterdir()) if not f.name.startswith(".") and _is_case(f)}
             if found:
                 return found
     return {}
+
+
+def _is_case(folder):
+    """Known by its arrays; or, so that a case which lost them is not passed over, by the three other files that every case has."""
+    if not folder.is_dir():
+        return False
+    return present(folder / "final_data.pkl") or all(present(folder / f) for f in ("split.json", "metadata.json", "calibrate.pkl"))
 
 
 class PhysTwinLayout:
@@ -33,7 +42,7 @@ class PhysTwinLayout:
     name = "phystwin"
 
     def matches(self, path: Path) -> bool:
-        """Whether there is a ``final_data.pkl`` in ``path`` or in the folders of cases that it holds."""
+        """Whether ``path`` is a case or holds some."""
         try:
             return bool(case_folders(path))
         except OSError:
@@ -64,7 +73,7 @@ class PhysTwinLayout:
 def _about(folder: Path) -> dict:
     try:
         return read_extra(folder)
-    except (OSError, ValueError, RecursionError):
+    except ValueError:
         return {"object": None, "session": ""}
 
 

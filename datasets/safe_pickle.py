@@ -131,4 +131,6 @@ def _foreign(parts, seen):
 
 
 def _kind(value):
-    return f"one of type {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+    if isinstance(value, np.ndarray):
+        return f"one of type {value.dtype}"
+    return "None" if value is None else f"a {type(value).__name__}"

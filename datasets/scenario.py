@@ -10,6 +10,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from .findings import Findings, refuse
+from .rules import camera_rules, observed_rules, plane_rules, scenario_rules, split_rules
+
 __all__ = ["Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
 
 
@@ -23,10 +26,8 @@ class Camera:
     height: int
 
     def __post_init__(self):
-        _own(self, "intrinsics", (3, 3))
-        _own(self, "camera_to_world", (4, 4))
-        if self.width < 1 or self.height < 1:
-            raise ValueError(f"camera width and height must be >= 1 pixel, got {self.width} x {self.height}")
+        rules = camera_rules(self.intrinsics, self.camera_to_world, self.width, self.height)
+        _own(self, zip(("intrinsics", "camera_to_world"), refuse(rules), strict=True))
 
     def project(self, points):
         """Pixel coordinates (..., 2) as (column, row), and depth [m] along the optical axis, of world ``points`` (..., 3)."""
@@ -44,10 +45,7 @@ class Plane:
     offset: float = 0.0
 
     def __post_init__(self):
-        _own(self, "normal", (3,))
-        length = float(np.linalg.norm(self.normal))
-        if abs(length - 1) > 1e-6:
-            raise ValueError(f"ground normal must be a unit vector, got length {length:.6g}")
+        _own(self, [("normal", refuse(plane_rules(self.normal, self.offset)))])
 
     def height(self, points):
         """Signed distance [m] of ``points`` (..., 3) above the plane."""
@@ -62,11 +60,7 @@ class Split:
     frame_count: int
 
     def __post_init__(self):
-        if not 2 <= self.train_end <= self.frame_count:
-            raise ValueError(
-                f"split: the train range must hold at least 2 frames and end within the recording, "
-                f"got train [0, {self.train_end}) of {self.frame_count} frames"
-            )
+        refuse(split_rules(self.train_end, self.frame_count))
 
     @property
     def train(self) -> range:
@@ -134,36 +128,13 @@ class Observed:
     images: Images | None = None
 
     def __post_init__(self):
-        where = f" (scenario {self.name})"
-        if np.ndim(self.points) != 3:
-            raise ValueError(f"points must have shape (frames, points, 3), got {np.shape(self.points)}{where}")
-        frames, count = np.shape(self.points)[:2]
-        _own(self, "points", (frames, count, 3), where=where, finite=False)
-        _own(self, "visible", (frames, count), bool, where=where)
-        _own(self, "motion_valid", (frames, count), bool, where=where)
-        length = np.shape(self.controllers)[0] if np.ndim(self.controllers) == 3 else frames
-        hands = np.shape(self.controllers)[1] if np.ndim(self.controllers) == 3 else 0
-        _own(self, "controllers", (length, hands, 3), where=where)
-        for name in ("surface", "interior"):
-            _own(self, name, (len(np.atleast_1d(getattr(self, name))), 3), where=where)
-        if self.colors is not None:
-            _own(self, "colors", (frames, count, 3), where=where, finite=False)
-        _own(self, "gravity", (3,), where=where)
-        grips = np.full(hands, -1) if self.grips is None else self.grips
-        object.__setattr__(self, "grips", grips)
-        _own(self, "grips", (hands,), np.int64, where=where)
-        if frames < 1 or length < frames:
-            raise ValueError(f"controllers must cover every frame: {length} of {frames} frames{where}")
-        if count < 1:
-            raise ValueError(f"points must hold at least one tracked point{where}")
-        if not np.isfinite(self.points[self.visible]).all():
-            raise ValueError(f"points must be finite wherever visible, got NaN or infinity{where}")
-        if not np.isfinite(self.points[0]).all():
-            raise ValueError(f"points must be finite in frame 0, where the body's structure is read{where}")
-        if not (np.isfinite(self.fps) and self.fps > 0):
-            raise ValueError(f"fps must be > 0, got {self.fps}{where}")
-        if hands and (self.grips.min() < -1 or self.grips.max() >= count):
-            raise ValueError(f"grips must be -1 or the index of one of the {count} points, got {self.grips.tolist()}{where}")
+        _own(self, refuse(self._rules(vars(self)), where=f" (scenario {self.name})").items())
+        if self.grips is None:
+            _own(self, [("grips", np.full(self.controllers.shape[1], -1))])
+
+    @staticmethod
+    def _rules(values) -> Findings:
+        return observed_rules(values)
 
     @property
     def frame_count(self) -> int:
@@ -207,17 +178,9 @@ class Scenario(Observed):
     split: Split
     tracks: np.ndarray | None = None
 
-    def __post_init__(self):
-        super().__post_init__()
-        where = f" (scenario {self.name})"
-        if self.observed_frames != self.frame_count or self.split.frame_count != self.frame_count:
-            raise ValueError(
-                f"points, controllers and split must speak of the same frames, got {self.observed_frames}, "
-                f"{self.frame_count} and {self.split.frame_count}{where}"
-            )
-        if self.tracks is not None:
-            shape = np.shape(self.tracks)
-            _own(self, "tracks", (self.frame_count, shape[1] if len(shape) == 3 else 0, 3), where=where, finite=False)
+    @staticmethod
+    def _rules(values) -> Findings:
+        return scenario_rules(values)
 
     def observed(self, frames: int | None = None) -> Observed:
         """What a method may see: the train frames' observations, or only the first ``frames`` of them.
@@ -259,15 +222,9 @@ class TransferPair:
             raise ValueError(f"the target of a transfer pair must not be fitted, but {self.target} is among its sources")
 
 
-def _own(instance, name, shape, dtype=np.float64, *, where="", finite=True):
-    """Replace an array field by a read-only copy of the stated shape and type, or say what is wrong with it."""
-    value = np.asarray(getattr(instance, name))
-    if value.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {value.shape}{where}")
-    if value.dtype == object or value.dtype.kind not in "biuf":
-        raise ValueError(f"{name} must hold numbers, got dtype {value.dtype}{where}")
-    value = np.array(value, dtype, order="C")
-    if finite and value.dtype.kind == "f" and not np.isfinite(value).all():
-        raise ValueError(f"{name} must be finite, got NaN or infinity{where}")
-    value.flags.writeable = False
-    object.__setattr__(instance, name, value)
+def _own(instance, arrays):
+    """Replace array fields by read-only copies of ``arrays``, (name, array) each."""
+    for name, value in arrays:
+        value = np.array(value, order="C")
+        value.flags.writeable = False
+        object.__setattr__(instance, name, value)

@@ -9,13 +9,14 @@ Beam frame (the authors'): along x from the clamp at -0.1 to the tip at 0, y acr
 from __future__ import annotations
 
 import re
-import struct
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from .c3d import read_points
 from .collection import Collection
+from .findings import named, shown
 from .scenario import Scenario, Split, TransferPair
 
 __all__ = ["LAYOUT", "Softbeam", "read_c3d", "release_frame", "softbeam_scenario"]
@@ -38,43 +39,19 @@ TRAIN_SHARE = 0.7
 
 def read_c3d(file: Path) -> tuple[np.ndarray, float]:
     """Tip and base markers (T, 6, 3) in metres, NaN where not seen, and the frame rate [Hz]. Raises ValueError naming the file."""
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise ImportError("reading .c3d files needs the package ezc3d: pip install ezc3d") from error
-    _check_whole(file)
-    try:
-        content = ezc3d.c3d(str(file))
-        points, about = content["data"]["points"], content["parameters"]["POINT"]
-        labels = [re.sub(r"[^A-Za-z0-9]", "", label) for label in about["LABELS"]["value"]]
-        units, rate = about["UNITS"]["value"], float(about["RATE"]["value"][0])
-    except (OSError, RuntimeError, ValueError, KeyError, IndexError) as error:
-        raise ValueError(f"{file}: not a readable c3d file ({str(error)[:200]})") from None
+    points, about = read_points(file)
+    for name, kind in (("LABELS", str), ("UNITS", str), ("RATE", float)):
+        if not about.get(name) or not isinstance(about[name][0], kind):
+            raise ValueError(f"{file}: not a readable c3d file (its parameter POINT:{name} is missing)")
+    labels = [re.sub(r"[^A-Za-z0-9]", "", label) for label in about["LABELS"]][: points.shape[1]]
+    units, rate = about["UNITS"], about["RATE"][0]
     missing = [name for name in TIP + BASE if name not in labels]
     if missing:
-        raise ValueError(f"{file}: must have the markers {', '.join(TIP + BASE)}; {', '.join(missing)} is missing, found {labels}")
-    scale = {"m": 1.0, "mm": 0.001}.get(units[0] if len(units) else "")
+        raise ValueError(f"{file}: must have the markers {', '.join(TIP + BASE)}; {', '.join(missing)} is missing, found {shown(labels)}")
+    scale = {"m": 1.0, "mm": 0.001}.get(units[0])
     if scale is None:
-        raise ValueError(f"{file}: positions must be in m or mm, got units {units}")
-    markers = scale * points[:3, [labels.index(name) for name in TIP + BASE]].transpose(2, 1, 0)
-    return markers, rate
-
-
-def _check_whole(file: Path) -> None:
-    """Whether the file is as long as its header says (C3D specification: blocks of 512 bytes); ezc3d crashes on cut files."""
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{file}: cannot be read ({error.strerror or error})") from error
-    if len(data) < 1024 or data[1] != 0x50:
-        raise ValueError(f"{file}: not a readable c3d file (its header is missing)")
-    if data[512 * (data[0] - 1) + 3 : 512 * (data[0] - 1) + 4] != b"T":  # 84: little endian, like all files since the 1990s
-        raise ValueError(f"{file}: not a readable c3d file (its parameters are missing or of an unusual byte order)")
-    points, analog, first, last, _, scale, start = struct.unpack("<5HfH", data[2:18])
-    frames, size = last - first + 1, 4 if scale < 0 else 2
-    needed = 512 * (start - 1) + size * frames * (4 * points + analog)
-    if frames < 1 or len(data) < needed:
-        raise ValueError(f"{file}: not a readable c3d file ({frames} frames need {needed} bytes, it has {len(data)})")
+        raise ValueError(f"{file}: positions must be in m or mm, got units {shown(units)}")
+    return scale * points[:, [labels.index(name) for name in TIP + BASE]], rate
 
 
 def release_frame(tip: np.ndarray) -> int:
@@ -103,21 +80,22 @@ def softbeam_scenario(file: Path) -> Scenario:
     frames, tips = len(markers), markers[:, :3]
     held = np.broadcast_to(clamp, (frames, *clamp.shape))
     visible = np.broadcast_to(np.arange(3 + len(clamp)) < 3, (frames, 3 + len(clamp)))
-    return Scenario(
-        name=file.stem,
-        points=np.concatenate([tips, held], axis=1),
-        visible=visible,
-        motion_valid=visible & (np.arange(frames) < frames - 1)[:, None],
-        controllers=held,
-        interior=beam,
-        fps=rate,
-        gravity=np.array([-9.81, 0.0, 0.0]),
-        grips=3 + np.arange(len(clamp)),
-        object=_object(file),
-        session=file.stem,
-        split=Split(int(TRAIN_SHARE * frames), frames),
-        tracks=tips,
-    )
+    with named(file):
+        return Scenario(
+            name=file.stem,
+            points=np.concatenate([tips, held], axis=1),
+            visible=visible,
+            motion_valid=visible & (np.arange(frames) < frames - 1)[:, None],
+            controllers=held,
+            interior=beam,
+            fps=rate,
+            gravity=np.array([-9.81, 0.0, 0.0]),
+            grips=3 + np.arange(len(clamp)),
+            object=_object(file),
+            session=file.stem,
+            split=Split(int(TRAIN_SHARE * frames), frames),
+            tracks=tips,
+        )
 
 
 def _lattice(file, markers):

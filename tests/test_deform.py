@@ -92,7 +92,7 @@ DAMAGE = {
     "dict": (lambda f: f.write_bytes(pickle.dumps({"points": 1})), "numbers or lists of them, got a dict"),
     "short": (lambda f: write(f, swinging(1, frames=4)), "at least 10 frames, got 4"),
     "other cable": (lambda f: write(f, swinging(1, count=8)), "7 markers like the other recordings, got 8"),
-    "infinite": (lambda f: write(f, but(np.inf, marker=3)), "must not be infinite"),
+    "infinite": (lambda f: write(f, but(np.inf, marker=3)), "must lie within 1000 m of the origin, got inf"),
     "lost grip": (lambda f: write(f, but(np.nan, frame=9, marker=6)), "marker 6 must be seen in every frame"),
 }
 

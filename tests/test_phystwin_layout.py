@@ -17,7 +17,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from twinbench.datasets.catalogue import CASES, PAIRS, PUBLISHED, self_collides
 from twinbench.datasets.collection import layouts, open_collection
+from twinbench.datasets.findings import collected
 from twinbench.datasets.phystwin import read_case, write_case
+from twinbench.datasets.phystwin_reading import reading
 from twinbench.datasets.scenario import Camera, Images, Plane, Scenario, Split, TransferPair
 
 NUMBERS = st.floats(-1e3, 1e3)
@@ -60,7 +62,7 @@ def scenarios(draw):
         interior=draw(arrays(draw(st.integers(0, 3)), 3)),
         colors=draw(st.none() | arrays(length, count, 3, elements=st.floats(0, 1)).map(lambda c: np.where(visible[..., None], c, 0))),
         fps=draw(st.sampled_from([30.0, 100.0, 29.97, 0.1])),
-        gravity=draw(arrays(3)),
+        gravity=draw(arrays(3, elements=st.floats(-50, 50))),  # m/s^2
         ground=draw(st.none() | st.builds(Plane, unit, NUMBERS)),
         grips=draw(st.none() | npst.arrays(np.int64, hands, elements=st.integers(-1, count - 1))),
         self_collision=draw(st.booleans()),
@@ -120,7 +122,10 @@ def images(frames=4, cameras=2, seed=0):
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(scenario=scenarios())
 def test_what_is_written_is_read_back_exactly(tmp_path, scenario):
-    assert_same(read_case(write_case(tmp_path / "case", scenario, overwrite=True)), scenario)
+    _, values = collected(
+        reading(write_case(tmp_path / "case", scenario, overwrite=True))
+    )  # implausible as they are: read_case refuses them
+    assert_same(Scenario(**values), scenario)
 
 
 def test_the_files_are_as_published(tmp_path):
@@ -222,7 +227,7 @@ def test_cleaned_masks_serve_where_only_they_are_there_and_give_no_more_frames(t
     (folder / "mask" / "processed_masks.pkl").write_bytes(pickle.dumps(processed))
     whole = read_case(folder).images
     assert np.array_equal(whole.mask(1, 3), masks[3, 1])
-    with pytest.raises(ValueError, match=r"processed_masks.pkl: no frame 0 of camera 7"):
+    with pytest.raises(ValueError, match=r"processed_masks.pkl: must hold a mask 'object' of frame 0, camera 7"):
         whole.mask(7, 0)
     seen = whole.until(3)
     assert np.array_equal(seen.mask(1, 2), masks[2, 1])
@@ -263,27 +268,17 @@ def test_several_hands_are_joined(tmp_path):
 def test_missing_images_are_named_when_asked_for(tmp_path):
     folder = write_case(tmp_path / "case", small(), color=images()["color"], masks=images()["masks"])
     read = read_case(folder).images
-    with pytest.raises(ValueError, match=r"depth/0/0.npy: no depth image"):
+    with pytest.raises(ValueError, match=r"depth/0/0.npy: missing"):
         read.depth(0, 0)
-    with pytest.raises(ValueError, match=r"color/5/0.png: no image"):
+    with pytest.raises(ValueError, match=r"color/5/0.png: missing"):
         read.color(5, 0)
     with pytest.raises(ValueError, match="no human mask of camera 0"):
         read.human_mask(0, 0)
     with pytest.raises(ValueError, match=r"mask_info_5.json"):
         read.mask(5, 0)
     (folder / "color" / "0" / "0.png").write_bytes(b"\x89PNG cut")
-    with pytest.raises(ValueError, match=r"color/0/0.png: not a complete image"):
+    with pytest.raises(ValueError, match=r"color/0/0.png: not a PNG image"):
         read.color(0, 0)
-    header = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + (8192).to_bytes(4, "big") + (8193).to_bytes(4, "big") + bytes(60)
-    (folder / "color" / "0" / "0.png").write_bytes(header)
-    with pytest.raises(ValueError, match=r"color/0/0.png: an image may have up to 67108864 pixels, got 8192 x 8193"):
-        read.color(0, 0)
-    (folder / "depth" / "0").mkdir(parents=True)
-    for shape in ("(100000, 100000)", f"({10**400}, 2)", "-" * 9000 + "1", "(" * 5000, "(True, 2)"):  # not one allocates or is a bare error
-        header = f"{{'descr': '<u2', 'fortran_order': False, 'shape': {shape}}}\n".encode()
-        (folder / "depth" / "0" / "0.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(8))
-        with pytest.raises(ValueError, match=r"depth/0/0.npy: no depth image"):
-            read.depth(0, 0)
     (folder / "mask" / "mask_info_0.json").write_text(json.dumps({"0": "twine", "1": "box"}))
     with pytest.raises(ValueError, match=r"mask_info_0.json: exactly one label must be the object"):
         read.mask(0, 0)
@@ -422,33 +417,42 @@ class Malicious:
 nan_row = small().points.copy()
 nan_row[0, 0] = np.nan
 BAD = {
-    "no points": (lambda f: _edit(f, object_points=None), "final_data.pkl: object_points missing"),
+    "no points": (lambda f: _edit(f, object_points=None), "final_data.pkl: object_points is missing"),
     "flat points": (
         lambda f: _edit(f, object_points=np.zeros((4, 12))),
         r"final_data.pkl: object_points must have shape \(frames, points, 3\), got \(4, 12\)",
     ),
-    "NaN points": (lambda f: _edit(f, object_points=nan_row), r"case: points must be finite"),
+    "NaN points": (lambda f: _edit(f, object_points=nan_row), r"final_data.pkl: object_points must be finite"),
     "text points": (lambda f: _edit(f, object_points="x"), "final_data.pkl: object_points must be an array of numbers, got a str"),
-    "NaN controllers": (lambda f: _edit(f, controller_points=np.full((4, 2, 3), np.nan)), "controllers must be finite"),
-    "short controllers": (lambda f: _edit(f, controller_points=np.zeros((3, 2, 3))), "controllers must cover every frame"),
-    "wrong flags": (lambda f: _edit(f, object_visibilities=np.ones((4, 11), bool)), r"visible must have shape \(4, 12\)"),
+    "NaN controllers": (
+        lambda f: _edit(f, controller_points=np.full((4, 2, 3), np.nan)),
+        "final_data.pkl: controller_points must be finite",
+    ),
+    "short controllers": (
+        lambda f: _edit(f, controller_points=np.zeros((3, 2, 3))),
+        r"final_data.pkl: controller_points must have shape \(4, controllers, 3\), got \(3, 2, 3\)",
+    ),
+    "wrong flags": (
+        lambda f: _edit(f, object_visibilities=np.ones((4, 11), bool)),
+        r"final_data.pkl: object_visibilities must have shape \(4, 12\)",
+    ),
     "a list": (lambda f: (f / "final_data.pkl").write_bytes(pickle.dumps([1])), "final_data.pkl: must hold a dict"),
     "truncated": (lambda f: (f / "final_data.pkl").write_bytes((f / "final_data.pkl").read_bytes()[:-9]), "final_data.pkl: not a complete"),
     "malicious": (lambda f: (f / "final_data.pkl").write_bytes(pickle.dumps(Malicious())), "final_data.pkl: refused, .*builtins.exec"),
     "malicious poses": (lambda f: (f / "calibrate.pkl").write_bytes(pickle.dumps(Malicious())), "calibrate.pkl: refused"),
     "malicious tracks": (lambda f: (f / "gt_track_3d.pkl").write_bytes(pickle.dumps(Malicious())), "gt_track_3d.pkl: refused"),
-    "no final_data": (lambda f: (f / "final_data.pkl").unlink(), "final_data.pkl: cannot be read"),
-    "no split": (lambda f: (f / "split.json").unlink(), "split.json: cannot be read"),
+    "no final_data": (lambda f: (f / "final_data.pkl").unlink(), "final_data.pkl: missing"),
+    "no split": (lambda f: (f / "split.json").unlink(), "split.json: missing"),
     "cut split": (lambda f: (f / "split.json").write_text('{"frame_len"'), "split.json: not a JSON file"),
-    "empty train": (_json("split.json", train=[0, 0], test=[0, 4]), "split.json: split: the train range must hold at least 2 frames"),
+    "empty train": (_json("split.json", train=[0, 0], test=[0, 4]), "split.json: split must have a train range of at least 2 frames"),
     "gap": (_json("split.json", test=[2, 4]), r"split.json: train must be \[0, end\)"),
-    "wrong length": (_json("split.json", frame_len=5), "split.json: frame_len is 5, but the recording has 4 frames"),
-    "fractional": (_json("split.json", train=[0, 2.8], test=[2.8, 4]), "split.json: frame numbers must be integers"),
-    "one camera too many": (_json("metadata.json", intrinsics=[np.eye(3).tolist()] * 2), "calibrate.pkl must hold one"),
+    "wrong length": (_json("split.json", frame_len=5), "split.json: frame_len must be the recording's 4 frames, got 5"),
+    "fractional": (_json("split.json", train=[0, 2.8], test=[2.8, 4]), "split.json: must hold the integers frame_len"),
+    "one camera too many": (_json("metadata.json", intrinsics=[np.eye(3).tolist()] * 2), "calibrate.pkl: must hold one"),
     "no size": (_json("metadata.json", WH=8), "metadata.json: WH must be"),
-    "bad fps": (_json("metadata.json", fps=0), r"metadata.json: fps must be a number > 0, got 0"),
+    "bad fps": (_json("metadata.json", fps=0), r"metadata.json: fps must be a number > 0 .*, got 0"),
     "unknown key": (_json("scenario.json", gravitation=[0, 0, 1]), r"scenario.json: unknown key 'gravitation'; did you mean 'gravity'\?"),
-    "bad ground": (_json("scenario.json", ground={"normal": [0, 0, 2], "offset": 0}), "scenario.json: ground must be .* unit vector"),
+    "bad ground": (_json("scenario.json", ground={"normal": [0, 0, 2], "offset": 0}), "scenario.json: ground normal must be a unit vector"),
     "bad grips": (_json("scenario.json", grips=[0, 12]), "grips must be -1 or the index of one of the 12 points"),
     "bad object": (_json("scenario.json", object=3), "scenario.json: object must be a str"),
     "bad colors": (_json("scenario.json", colors=[1]), "scenario.json: colors may only be null"),

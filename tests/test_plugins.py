@@ -255,7 +255,10 @@ CONFORM = {
     "nowhere": (0, "skipped: a damaged file is named: there is no recording to open: name one with --data"),
     "worst": (1, "failed: a frame with nothing to compare is NaN and has a reason: zero-size array to reduction operation"),
     "scoring": (1, "failed: it has one number for each frame asked for: ZeroDivisionError: division by zero (scoring.py:4)"),
-    "fitting": (1, "covers every frame: fit must return a StaticTwin, its twin_class, got NoneType"),
+    "fitting": (
+        1,
+        "failed: a roll out starts in frame 0 and covers every frame: fit must return a StaticTwin, its twin_class, got NoneType",
+    ),
     "bad": (1, "failed: matches never raises and recognises nothing in what is no recording: matches must not raise, but did"),
     "raises": (2, "method 'raises' (raises 1.2, entry point twinbench.methods: raises) is left out: ZeroDivisionError"),
     "stil": (2, "unknown name 'stil'; did you mean 'still'?"),

@@ -61,7 +61,7 @@ def test_ci_run_installs_and_tests_as_the_readme_says():
 def test_extras_are_there():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = set(re.findall(r"\.\[(\w+)\]", TEXT))
-    assert {"test", "plots", "recordings"} <= named <= set(extras)
+    assert {"test", "plots", "synthetic"} <= named <= set(extras)
     # the default tests skip nothing for want of a package
     assert {one for name in named for one in extras[name]} <= set(extras["test"])
 

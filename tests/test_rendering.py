@@ -330,7 +330,7 @@ def test_one_camera(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("file", "word"), [("color/0/4.png", "no image"), ("mask/0/1/4.png", "no image"), ("mask/0/0/4.png", "no image")], ids=str
+    ("file", "word"), [("color/0/4.png", "missing"), ("mask/0/1/4.png", "missing"), ("mask/0/0/4.png", "missing")], ids=str
 )
 def test_a_missing_image_costs_its_frame(tmp_path, file, word):
     case = write(tmp_path / "case")

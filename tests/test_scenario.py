@@ -67,36 +67,48 @@ def with_nan(shape, at):
 
 REFUSED = {
     "flat points": ({"points": np.zeros((T, 3))}, r"points must have shape \(frames, points, 3\), got \(10, 3\)"),
-    "2-D points": ({"points": np.zeros((T, N, 2))}, r"points must have shape \(10, 4, 3\), got \(10, 4, 2\)"),
+    "2-D points": ({"points": np.zeros((T, N, 2))}, r"points must have shape \(frames, points, 3\), got \(10, 4, 2\)"),
     "text": ({"points": np.full((T, N, 3), "x")}, r"points must hold numbers, got dtype <U1"),
     "objects": ({"points": np.full((T, N, 3), None)}, r"points must hold numbers, got dtype object"),
     "complex": ({"controllers": np.zeros((T, C, 3), complex)}, r"controllers must hold numbers"),
     "no points": (
         {"points": np.zeros((T, 0, 3)), "visible": np.ones((T, 0)), "motion_valid": np.ones((T, 0)), "colors": None},
-        r"at least one tracked point",
+        r"at least one frame and one tracked point",
     ),
     "visible": ({"visible": np.ones((T, N + 1), bool)}, r"visible must have shape \(10, 4\), got \(10, 5\)"),
     "motion_valid": ({"motion_valid": np.ones((T - 1, N), bool)}, r"motion_valid must have shape \(10, 4\), got \(9, 4\)"),
     "flat controllers": ({"controllers": np.zeros((T, 3))}, r"controllers must have shape"),
-    "short controllers": ({"controllers": np.zeros((T - 1, C, 3))}, r"controllers must cover every frame: 9 of 10 frames"),
-    "long controllers": ({"controllers": np.zeros((T + 1, C, 3))}, r"same frames, got 10, 11 and 10"),
+    "short controllers": ({"controllers": np.zeros((T - 1, C, 3))}, r"controllers must have shape \(10, controllers, 3\), got \(9, 2, 3\)"),
+    "long controllers": ({"controllers": np.zeros((T + 1, C, 3))}, r"controllers must have shape \(10, controllers, 3\), got \(11, 2, 3\)"),
     "NaN controllers": ({"controllers": with_nan((T, C, 3), 3)}, r"controllers must be finite"),
     "NaN visible": ({"points": with_nan((T, N, 3), (3, 1))}, r"points must be finite wherever visible"),
     "infinite": ({"points": np.full((T, N, 3), np.inf)}, r"points must be finite wherever visible"),
     "NaN start": ({"points": with_nan((T, N, 3), (0, 1)), "visible": np.zeros((T, N))}, r"points must be finite in frame 0"),
-    "surface": ({"surface": np.zeros((3, 2))}, r"surface must have shape \(3, 3\), got \(3, 2\)"),
+    "surface": ({"surface": np.zeros((3, 2))}, r"surface must have shape \(points, 3\), got \(3, 2\)"),
     "one surface point": ({"surface": np.zeros(3)}, r"surface must have shape"),
     "NaN interior": ({"interior": with_nan((3, 3), 0)}, r"interior must be finite"),
     "colors": ({"colors": np.zeros((T, N))}, r"colors must have shape \(10, 4, 3\), got \(10, 4\)"),
     "gravity": ({"gravity": 9.8}, r"gravity must have shape \(3,\), got \(\)"),
     "NaN gravity": ({"gravity": [0, 0, np.nan]}, r"gravity must be finite"),
-    "fps 0": ({"fps": 0}, r"fps must be > 0, got 0"),
-    "fps NaN": ({"fps": np.nan}, r"fps must be > 0, got nan"),
+    "fps 0": ({"fps": 0}, r"fps must be a number > 0 .*, got 0"),
+    "fps NaN": ({"fps": np.nan}, r"fps must be a number > 0 .*, got nan"),
     "grip too high": ({"grips": [0, N]}, r"grips must be -1 or the index of one of the 4 points, got \[0, 4\]"),
     "grip too low": ({"grips": [0, -2]}, r"grips must be -1 or the index of one of the 4 points, got \[0, -2\]"),
     "one grip": ({"grips": [0]}, r"grips must have shape \(2,\), got \(1,\)"),
-    "split": ({"split": Split(TRAIN, T + 1)}, r"same frames, got 10, 10 and 11"),
-    "tracks": ({"tracks": np.zeros((T - 1, 2, 3))}, r"tracks must have shape \(10, 2, 3\), got \(9, 2, 3\)"),
+    "split": ({"split": Split(TRAIN, T + 1)}, r"split must speak of the recording's 10 frames, got 11"),
+    "tracks": ({"tracks": np.zeros((T - 1, 2, 3))}, r"tracks must have shape \(10, tracks, 3\), got \(9, 2, 3\)"),
+    "NaN flags": ({"visible": with_nan((T, N), 3)}, r"visible must be bool, got float64 with values other than 0 and 1"),
+    "far": ({"points": np.full((T, N, 3), 74e3)}, r"points must lie within 1000 m of the origin, got 74000 m"),
+    "far controllers": ({"controllers": np.full((T, C, 3), 1e300)}, r"controllers must lie within 1000 m"),
+    "gravity in mm": ({"gravity": [0, 0, 9810]}, r"gravity must be at most 100 m/s\^2, got 9810"),
+    "fps in ns": ({"fps": 1e9}, r"fps must be a number > 0 and at most 10000 frames per second, got 1000000000.0"),
+    "fps in words": ({"fps": "30"}, r"fps must be a number > 0 .* got '30'"),
+    "fps beyond all": ({"fps": 10**400}, r"fps must be a number > 0 .* got 1000"),
+    "half a grip": ({"grips": [0.5, 0]}, r"grips must be integers, got \[0.5, 0.0\]"),
+    "infinite tracks": ({"tracks": np.full((T, 2, 3), np.inf)}, r"tracks must lie within 1000 m of the origin, got inf"),
+    "object": ({"object": 3}, r"object must be a str, got 3"),
+    "self_collision": ({"self_collision": "no"}, r"self_collision must be a bool, got 'no'"),
+    "ragged": ({"surface": [[0, 0, 0], [1]]}, r"surface must be an array of numbers, got \[\[0, 0, 0\], \[1\]\]"),
     "flat tracks": ({"tracks": np.zeros((T, 3))}, r"tracks must have shape"),
 }
 
@@ -111,7 +123,7 @@ def test_a_wrong_recording_is_refused_when_it_is_built(name):
 
 @pytest.mark.parametrize("train_end", [-1, 0, 1, T + 1])
 def test_the_train_range_holds_a_motion_and_ends_within_the_recording(train_end):
-    with pytest.raises(ValueError, match=rf"train range must hold at least 2 frames .* \[0, {train_end}\) of 10 frames"):
+    with pytest.raises(ValueError, match=rf"train range of at least 2 frames .* \[0, {train_end}\) of 10 frames"):
         Split(train_end, T)
 
 
@@ -130,7 +142,11 @@ POSE, INTRINSICS = np.eye(4), np.array([[50.0, 0, 4], [0, 60, 3], [0, 0, 1]])
         ((np.eye(4), POSE, 8, 6), r"intrinsics must have shape \(3, 3\), got \(4, 4\)"),
         ((INTRINSICS, np.eye(3), 8, 6), r"camera_to_world must have shape \(4, 4\), got \(3, 3\)"),
         ((INTRINSICS, POSE * np.nan, 8, 6), r"camera_to_world must be finite"),
-        ((INTRINSICS, POSE, 0, 6), r"camera width and height must be >= 1 pixel, got 0 x 6"),
+        ((INTRINSICS.T, POSE, 8, 6), r"intrinsics must be \[\[fx, s, cx\], \[0, fy, cy\], \[0, 0, 1\]\] .* got \[\[50"),
+        ((INTRINSICS, POSE * [[-1], [1], [1], [1]], 8, 6), r"camera_to_world must be a rotation and a translation"),
+        ((INTRINSICS, POSE * 2, 8, 6), r"camera_to_world must be a rotation and a translation .* got the rows \[\[2.0"),
+        ((INTRINSICS, POSE, 8.5, 6), r"camera width and height must be 1 to 16384 pixels, got 8.5 x 6"),
+        ((INTRINSICS, POSE, 0, 6), r"camera width and height must be 1 to 16384 pixels, got 0 x 6"),
     ],
 )
 def test_a_wrong_camera_is_refused(arguments, message):
@@ -165,6 +181,11 @@ def test_a_point_made_from_pixel_and_depth_projects_back(angle, axis, seed):
 def test_a_ground_has_a_unit_normal_and_a_signed_height():
     with pytest.raises(ValueError, match="unit vector, got length 2"):
         Plane(np.array([0.0, 0, 2]))
+    for offset in (np.nan, "0", 1e6):
+        with pytest.raises(ValueError, match="ground offset must be a number within 1000 m, got"):
+            Plane(np.array([0.0, 0, 1]), offset)
+    with pytest.raises(ValueError, match="split must be of integers"):
+        Split(2.5, T)
     with pytest.raises(ValueError, match="normal must have shape"):
         Plane(np.zeros(2))
     up_is_minus_z = Plane(np.array([0.0, 0, -1]), 0.1)

@@ -125,7 +125,7 @@ def test_damaged_files_are_named(tmp_path, kind):
 @settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_no_cut_file_is_read(tmp_path_factory, data):
-    """Whatever part of a file is there, ezc3d (which can crash on it) never sees it: 6 markers x 4 floats x 200 frames are needed."""
+    """Whatever part of a file is there, no frames are made up: 6 markers x 4 floats x 200 frames are needed."""
     file = tmp_path_factory.mktemp("cut") / "a.c3d"
     write(file, swinging())
     whole = file.read_bytes()

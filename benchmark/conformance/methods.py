@@ -138,7 +138,7 @@ def _poisoned(elsewhere: bool) -> Scenario:
     made = recording()
     points, visible, valid, tracks = made.points.copy(), made.visible.copy(), made.motion_valid.copy(), made.tracks.copy()
     tracks[TRAIN:] = np.nan
-    points[TRAIN:] = 1e6 if elsewhere else np.nan
+    points[TRAIN:] = 900.0 if elsewhere else np.nan
     visible[TRAIN:] = valid[TRAIN:] = elsewhere
     return replace(made, points=points, visible=visible, motion_valid=valid, tracks=tracks, images=Pictures(points, FRAMES))
 

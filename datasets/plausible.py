@@ -1,0 +1,114 @@
+"""How the fields of a recording fit together: hands at the body, tracks on it, cameras that see it, one unit for all.
+
+Where a recording cannot be what it says, as where hands are out of reach, that is an error; what somebody may have meant is a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from .findings import Findings, count, error, warning
+
+__all__ = ["plausible"]
+
+REACH = 0.08  # m, the widest controller radius that the published search may choose: a hand farther away holds nothing
+SMALL, LARGE = 0.01, 10.0  # m: bodies that tables and cameras are made for
+BELOW = 1e-3  # m: noise of depth cameras at the table
+SEEN_SHARE = 0.5  # of the body, in a camera whose matrix is turned round, to be sure that it is that
+LOOKS = 20  # frames in which a camera is looked for the body
+
+
+def plausible(values: Mapping[str, Any]) -> Findings:
+    """The findings about ``values``, sound fields of a ``Scenario`` by name; what is not among them is not looked at."""
+    points, visible = values.get("points"), values.get("visible")
+    if points is None or visible is None:
+        return
+    body = np.concatenate([points[0], *(values[name] for name in ("surface", "interior") if name in values)])
+    yield from _body(body)
+    if len(unseen := np.flatnonzero(~visible.any(1))):
+        what = count(unseen >= 0, "frame")
+        yield warning("visible", f"is False for every point in {what}, first in frame {unseen[0]}: they cannot be scored")
+    ground = values.get("ground")
+    if ground is not None and (below := ground.height(points[visible]) < -BELOW).any():
+        yield warning("points", f"{count(below, 'visible row')} more than {1000 * BELOW:g} mm below the table")
+    if values.get("colors") is not None and not ((values["colors"][visible] >= 0) & (values["colors"][visible] <= 1)).all():
+        yield warning("colors", "must lie in [0, 1] at visible points, and does not")
+    if values.get("controllers") is not None:
+        yield from _hands(values["controllers"], values.get("grips"), body)
+    if values.get("tracks") is not None:
+        yield from _tracks(values["tracks"], points, visible, body)
+    yield from _cameras(values.get("cameras", ()), points, visible, body)
+
+
+def _body(body):
+    extent = float(np.ptp(body, axis=0).max())
+    if not SMALL <= extent <= LARGE:
+        yield warning("points", f"the body is {extent:.3g} m long in frame 0: are the units metres?")
+    if (twins := len(body) - len(np.unique(body, axis=0))) > 0:
+        yield warning("points", f"{twins} particle{'s' * (twins > 1)} of frame 0 lie on another one: no spring can join them")
+
+
+def _hands(controllers, grips, body):
+    if not controllers.shape[1]:
+        yield warning("controllers", "is empty: nothing drives the body")
+        return
+    hands = controllers[0] if grips is None else controllers[0][grips < 0]  # a driven marker is a point of the body
+    if not len(hands):
+        return
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(body)
+    reach = max(REACH, float(np.median(tree.query(body, k=2)[0][:, 1])) if len(body) > 1 else 0.0)  # coarse markers reach farther
+    distance = tree.query(hands)[0]
+    far = distance > reach
+    if far.all() and len(hands) == controllers.shape[1]:
+        rule = f"must be within reach of the body, {reach:.3g} m"
+        yield error("controllers", f"{rule}, got {distance.min():.3g} m from it to the nearest in frame 0")
+    elif far.any():
+        yield warning("controllers", f"{count(far, 'controller')} more than {reach:.3g} m away from the body in frame 0")
+
+
+def _tracks(tracks, points, visible, body):
+    annotated = np.isfinite(tracks).all(-1)
+    if not len(annotated) or not annotated[0].any():
+        yield warning("tracks", "no track is annotated in frame 0: the track error cannot be scored")
+    if not annotated.any():
+        return
+    first = int(annotated.any(1).argmax())
+    there = body if first == 0 else points[first][visible[first]]
+    if not len(there):
+        return
+    from scipy.spatial import cKDTree
+
+    limit = float(np.ptp(body, axis=0).max()) + REACH
+    distance = cKDTree(there).query(tracks[first][annotated[first]])[0]
+    far = distance > limit
+    if far.all():
+        rule = f"must lie on the body, in its units and axes, at most {limit:.3g} m from its points"
+        yield error("tracks", f"{rule}, got {distance.min():.3g} m to the nearest in frame {first}")
+    elif far.any():
+        yield warning("tracks", f"{count(far, 'track')} more than {limit:.3g} m away from the body in frame {first}")
+
+
+def _cameras(cameras: Sequence, points, visible, body):
+    frames = np.unique(np.linspace(0, len(points) - 1, LOOKS).astype(int))
+    everything = np.concatenate([body, *(points[t][visible[t]] for t in frames)])
+    for number, camera in enumerate(cameras):
+        name, turn, centre = f"camera_to_world of camera {number}", camera.camera_to_world[:3, :3], camera.camera_to_world[:3, 3]
+        if not _sees(camera, (everything - centre) @ turn).any():
+            if _sees(camera, body @ turn.T + centre).mean() >= SEEN_SHARE:
+                yield error(name, "must lead from camera to world, got its inverse: only that sees the body")
+            else:
+                yield warning(name, "does not see the body in any frame: is it camera to world, in metres?")
+        elif (np.abs(centre - body.mean(0)) < np.ptp(body, axis=0) / 2).all():
+            yield warning(name, "places the camera inside of the body")
+
+
+def _sees(camera, local):
+    """Which of the points ``local`` (P, 3), in the camera's axes, are in its image."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        pixel = (local @ camera.intrinsics.T)[:, :2] / local[:, 2:]
+        return (local[:, 2] > 0) & (pixel >= 0).all(-1) & (pixel < (camera.width, camera.height)).all(-1)
