@@ -2,6 +2,7 @@
 
 from .check import Check
 from .concealed import Concealed
+from .curve import Curve
 from .diagnose import Diagnose
 from .download import Download
 from .list import List
@@ -16,6 +17,7 @@ COMMANDS = {
     "run": Run,
     "table": Table,
     "picture": Picture,
+    "curve": Curve,
     "check": Check,
     "download": Download,
     "list": List,
