@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from .ablations import clips_of
-from .picture import COLORS, canvas, drawable, save
+from .picture import COLORS, blank_figure, drawable, save
 from .results import Results
 from .table import Block, Line, blocks
 
@@ -35,7 +35,7 @@ def draw_curves(results: Results, metric: str, path: Path) -> None:
     panels = [(block, found) for block in blocks(results) if len(_counts(found := curves(block, metric))) > 1]
     if not panels:
         raise ValueError(f"no {metric} of twins of different numbers of recordings: twinbench run --ablation clips scores such")
-    figure = canvas(3.6 * len(panels) + 1.4, 3.2)
+    figure = blank_figure(3.6 * len(panels) + 1.4, 3.2)
     colors = {method: COLORS[i % len(COLORS)] for i, method in enumerate(dict.fromkeys(m for _, found in panels for m in found))}
     named = {}
     for panel, (block, found) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
