@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from ..methods.variants import Variant, quirks
 from .plan import Fit
 from .tracker import Tracker
 
-__all__ = ["ABLATIONS", "Ablation", "with_clips"]
+__all__ = ["ABLATIONS", "Ablation", "clips_of", "with_clips"]
 
 IN_DOMAIN = ("resimulation", "prediction")
 CLIPS = (1, 2, 5, 10, 30)  # published: 30 clips for the graph network, one for PhysTwin
@@ -62,7 +63,21 @@ class Ablation:
 
 
 def _clips(method: str) -> tuple[Variant, ...]:
-    return tuple(Variant(f"{method} ({count} clip{'s' if count > 1 else ''})", method, clips=count) for count in CLIPS)
+    """Variants of a method that can be fitted on several recordings, on all of them and not just the most that a preset takes."""
+    return tuple(
+        Variant(f"{method} ({count} clip{'s' if count > 1 else ''})", method, {"recordings": count} if count > 1 else {}, clips=count)
+        for count in CLIPS
+    )
+
+
+def clips_of(name: str) -> tuple[str, int | None]:
+    """The method of a variant's name, and on how many recordings that is fitted, or None.
+
+    >>> clips_of("gs-dynamics (5 clips)")
+    ('gs-dynamics', 5)
+    """
+    found = re.fullmatch(r"(.+) \((\d+) clips?\)", name)
+    return (found[1], int(found[2])) if found else (name, None)
 
 
 def _cameras(method: str) -> tuple[Variant, ...]:
@@ -94,9 +109,14 @@ ABLATIONS = {
         "PhysTwin's twins shown with one quirk of the published appearance at a time, and with all", looks_of="phystwin", metrics=IMAGES
     ),
     "clips": Ablation(
-        "a graph network trained on more recordings of the object, where PhysTwin has one", ("phystwin", *_clips("gs-dynamics"))
+        "twins of 1, 2, 5, 10 and 30 recordings of the object, as far as there are so many",
+        ("rigid", *_clips("phystwin"), *_clips("gs-dynamics")),
+        tasks=(),
     ),
-    "clips-as-published": Ablation("the same as published: the paper's data efficiency", (_PUBLISHED, *_clips("gs-dynamics-as-published"))),
+    "clips-as-published": Ablation(
+        "a graph network as published on more recordings of the object, where PhysTwin has one: the paper's data efficiency",
+        (_PUBLISHED, *_clips("gs-dynamics-as-published")),
+    ),
     "cameras": Ablation("fitted with what fewer cameras saw", (*_cameras("phystwin"), *_cameras("spring-gaus"))),
     "tracks": Ablation(
         "PhysTwin's tracks beside those of the tracker that it is fitted to", ("phystwin",), tracker=True, metrics=("track_error",)
@@ -105,17 +125,29 @@ ABLATIONS = {
 
 
 def with_clips(fits: Iterable[Fit], collection: Collection, clips: dict[str, int]) -> list[Fit]:
-    """The fits of in-domain tasks with so many recordings of the object as ``clips`` says of their method: first the one that is scored.
+    """The fits with so many recordings of the object as ``clips`` says of their method. Where there are too few, they are skipped with
+    that reason.
 
-    Which recordings show the same object, transfer pairs tell. Where there are too few, the fit is skipped with that reason.
+    For in-domain tasks the first is the one that is scored, and others of the object join it; which show the same object, transfer pairs
+    tell. For transfer they are some of those that the pair is fitted on, spread evenly: others may be what is scored.
     """
-    return [_extended(fit, collection, clips[fit.method]) if fit.method in clips else fit for fit in fits]
+    return [part for fit in fits for part in (_parts(fit, collection, clips[fit.method]) if fit.method in clips else [fit])]
 
 
-def _extended(fit: Fit, collection: Collection, count: int) -> Fit:
-    known = list(dict.fromkeys((*fit.sources, *_others(collection, fit.sources[0]))))
-    few = f"the object was recorded {len(known)} time{'s' if len(known) > 1 else ''}" if len(known) < count else ""
-    return replace(fit, sources=tuple(known[:count]), skip=few)
+def _parts(fit: Fit, collection: Collection, count: int) -> Iterable[Fit]:
+    """The in-domain and the transfer evaluations of ``fit``, each with ``count`` sources."""
+    own = tuple(evaluation for evaluation in fit.evaluations if evaluation.task != "transfer")
+    brought = tuple(evaluation for evaluation in fit.evaluations if evaluation.task == "transfer")
+    if own:
+        known = tuple(dict.fromkeys((*fit.sources, *_others(collection, fit.sources[0]))))
+        yield replace(fit, evaluations=own, sources=known[:count], skip=_few(known, count, "the object was recorded"))
+    if brought:
+        chosen = tuple(fit.sources[k * len(fit.sources) // count] for k in range(count)) if count < len(fit.sources) else fit.sources
+        yield replace(fit, evaluations=brought, sources=chosen, skip=_few(fit.sources, count, "what is transferred was recorded"))
+
+
+def _few(known: tuple[str, ...], count: int, what: str) -> str:
+    return f"{what} {len(known)} time{'s' if len(known) > 1 else ''}" if len(known) < count else ""
 
 
 def _others(collection: Collection, name: str) -> Iterable[str]:

@@ -144,6 +144,9 @@ class Runner:
                 raise Stopped(status="skipped", reason=method.skip_transfer)  # nothing asks for the twin
             self._held = [self._load(name) for name in fit.sources]  # for the next method on the same sources
             self._refuse(method, self._held)
+            with as_status():
+                if reason := method.skip_jointly(self._held):
+                    raise Stopped(status="skipped", reason=reason)
             twin, about = self._twin(method, fit, report)
         except Stopped as stopped:
             yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)

@@ -123,3 +123,7 @@ class Method(ABC):
     def skip(self, scenario: Scenario) -> str | None:
         """Why this method cannot run on ``scenario``, or None."""
         return None
+
+    def skip_jointly(self, scenarios: Sequence[Scenario]) -> str | None:
+        """Why no twin can be fitted on all of these recordings of one object at once, each of which it can run on; or None."""
+        return None

@@ -135,6 +135,9 @@ class FewerCameras(Method):
             return reason
         return self.method.skip(replace(scenario, cameras=scenario.cameras[: self.count]))
 
+    def skip_jointly(self, scenarios: Sequence[Scenario]) -> str | None:
+        return self.method.skip_jointly(scenarios)
+
 
 def _too_few(observed: Observed, count: int) -> str | None:
     if len(observed.cameras) < count:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from twinbench.benchmark.ablations import ABLATIONS, Ablation, with_clips
+from twinbench.benchmark.ablations import ABLATIONS, Ablation, clips_of, with_clips
 from twinbench.benchmark.cache import Cache
 from twinbench.benchmark.experiment import Experiment
 from twinbench.benchmark.opening import Opened
@@ -169,8 +169,57 @@ def test_twins_are_fitted_on_more_recordings_of_the_object():
         (("a", "b", "c"), "the object was recorded 3 times"),
     ]
     assert all(fit.evaluations == (Evaluation("prediction", "a"),) for fit in extended)
-    (alone,) = with_clips([Fit("two", ("d",), 0, ())], found, {"two": 2})
+    (alone,) = with_clips([Fit("two", ("d",), 0, (Evaluation("prediction", "d"),))], found, {"two": 2})
     assert alone.skip == "the object was recorded 1 time"
+
+
+def test_for_transfer_twins_are_fitted_on_some_of_the_recordings_that_others_are_fitted_on():
+    made = {name: recording(name) for name in "abcdefghst"}
+    pairs = tuple(TransferPair(tuple("abcdefgh"), target) for target in "st")
+    found = Collection("cable", {name: (lambda name=name: made[name]) for name in made}, in_domain=(), pairs=pairs)
+    counts = {"one": 1, "two": 2, "five": 5, "eight": 8, "nine": 9}
+    extended = with_clips(plan(found, methods=[*counts, "all"]), found, counts)
+    assert {fit.method: "".join(fit.sources) for fit in extended} == {
+        "one": "a",
+        "two": "ae",
+        "five": "abdeg",  # positions 0, 8/5, 16/5, 24/5 and 32/5 of 8, rounded down
+        "eight": "abcdefgh",
+        "nine": "abcdefgh",
+        "all": "abcdefgh",
+    }
+    assert [fit.skip for fit in extended] == [""] * 4 + ["what is transferred was recorded 8 times", ""]
+    for fit in extended:
+        assert [evaluation.target for evaluation in fit.evaluations] == ["s", "t"]
+
+
+def test_in_domain_and_transfer_evaluations_have_their_own_sources():
+    # b may join a where a is scored, but not where b is
+    found = collection("a", "b", pairs=[("a", "b")])
+    own, brought = with_clips(plan(found, methods=["two"], scenarios=["a", "b"])[:1], found, {"two": 2})
+    assert (own.sources, own.skip) == (("a", "b"), "") and {e.task for e in own.evaluations} == {"resimulation", "prediction"}
+    assert (brought.sources, brought.skip) == (("a",), "what is transferred was recorded 1 time")
+    assert brought.evaluations == (Evaluation("transfer", "b"),)
+
+
+def test_variants_are_fitted_on_as_many_recordings_as_they_say():
+    # quick PhysTwin takes 3 at most, full 12
+    for name, method in ABLATIONS["clips"].methods().items():
+        base, count = clips_of(name)
+        assert (base, count) == (getattr(method, "method", name), getattr(method, "clips", None))
+        for config in method().presets.values() if count and count > 1 else ():
+            assert config.recordings == count
+    assert clips_of("phystwin (odd)") == ("phystwin (odd)", None)
+
+
+def test_recordings_that_cannot_be_fitted_jointly_are_a_skipped_row(tmp_path):
+    seen = np.ones((FRAMES, 8), bool)
+    made = {"a": recording("a"), "b": recording("b", points=recording().points[:, :8], visible=seen, motion_valid=seen)}
+    loads = {name: (lambda name=name: made[name]) for name in made}
+    found = Collection("made", loads, in_domain=("a", "b"), pairs=(TransferPair(("a",), "b"),))
+    two = Variant("phystwin (2 clips)", "phystwin", {"recordings": 2}, clips=2)
+    experiment = Experiment({two.name: two}, {"track_error": metrics()["track_error"]}, ("prediction",), clips={two.name: 2})
+    (row,) = experiment.run(experiment.plan([Opened(found)], scenarios=["a"]), cache=Cache(tmp_path), budget="quick", device="cpu").rows
+    assert row["status"] == "skipped" and "particles correspond, but a has (9, 0, 0)" in row["reason"]
 
 
 def test_more_clips_reach_the_fit_and_too_few_are_a_row(tmp_path):

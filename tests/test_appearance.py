@@ -275,7 +275,7 @@ def test_a_bone_without_a_rotation_of_its_own_does_not_disturb_others():
         assert (r[:, 0] - x).abs().max() < 1e-9
         assert (r @ r.T - torch.eye(3, dtype=torch.float64)).abs().max() < 1e-9
         assert abs(float(r.trace()) - (1 + 2 * float(x[0]))) < 1e-9  # trace R = 1 + 2 cos(angle)
-    published = bone_rotations(*skinning.bones, skinning.neighbours, shared_rank=True)
+    published = bone_rotations(*skinning.bones, skinning.neighbours, replace(CORRECTED, shared_rank=True))
     assert torch.equal(published, torch.eye(3, dtype=torch.float64).repeat(114, 1, 1))
 
 
@@ -284,8 +284,60 @@ def test_as_published_a_single_bone_on_a_line_lends_its_rotation():
     bones = torch.tensor(np.concatenate([np.outer(np.arange(5), [0, 0.1, 0]), rng.uniform(1, 2, (20, 3))]))
     turn = torch.tensor(rotation(9))
     neighbours = torch.tensor([[1, 2, 3, 4]] + [[5, 6, 7, 8]] * 4 + [[(5 + (k + j) % 20) for j in range(1, 5)] for k in range(20)])
-    alone, lent = (bone_rotations(bones, bones @ turn.T, neighbours, shared_rank=shared) for shared in (False, True))
+    alone, lent = (bone_rotations(bones, bones @ turn.T, neighbours, replace(CORRECTED, shared_rank=shared)) for shared in (False, True))
     assert (lent - alone[0]).abs().max() == 0 and (alone[5:] - turn).abs().max() < 1e-9 and (alone[0] - turn).abs().max() > 0.01
+
+
+@pytest.mark.parametrize("width, falls", [(3e-2, ()), (3e-3, ("float32_rank",)), (1e-4, ("float32_rank", "corrected"))])
+def test_the_width_up_to_which_neighbours_lie_on_a_line(width, falls):
+    # Second over first singular value of sum e' e^T is the square of width over length, here 9e-4, 9e-6 and 1e-8: float32's default
+    # (numpy's and torch's matrix_rank: eps times the larger side) loses the rank below 3.6e-7. A turn about the line tells: a bone that
+    # has its rank follows it, the smallest rotation of a line does not.
+    along = np.linspace(-1, 1, 9)[:, None]
+    bones = torch.tensor(along * [0, 0, 1] + width * np.array([[1, 0, 0], [0, 0.9, 0]])[np.arange(9) % 2])
+    turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
+    neighbours = torch.arange(9).repeat(9, 1)
+    e, now = bones - bones[4], (bones - bones[4]) @ turn.T
+    rank = int(torch.linalg.matrix_rank((now.T @ e).float()))
+    assert (rank == 1) == (width == 1e-4)
+    published = bone_rotations(bones, bones @ turn.T, neighbours, replace(CORRECTED, float32_rank=True))[4]
+    corrected = bone_rotations(bones, bones @ turn.T, neighbours)[4]
+    assert torch.allclose(published, turn, atol=1e-3) == (rank > 1)
+    assert torch.allclose(corrected, turn, atol=1e-3) == (width > 1e-2)
+
+
+def test_neighbours_within_a_tenth_of_a_millimetre_turn_as_published():
+    bones = torch.tensor(1e-6 * np.random.default_rng(3).normal(size=(6, 3)))
+    turn = torch.tensor(rotation(2))
+    neighbours = torch.tensor([[j for j in range(6) if j != k] for k in range(6)])
+    published = bone_rotations(bones, bones @ turn.T, neighbours, replace(CORRECTED, float32_rank=True))
+    assert (published - turn).abs().max() < 1e-6
+    assert torch.equal(bone_rotations(bones, bones @ turn.T, neighbours), torch.eye(3, dtype=torch.float64).repeat(6, 1, 1))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_as_published_a_line_turns_as_the_x_axis_would(seed):
+    # R = [l p l x p] [x p x x p]^T with p = x x l / |x x l| and l the left singular vector; all bones get the only one of rank 1
+    rng = np.random.default_rng(seed)
+    line = rng.normal(size=3)
+    old = np.concatenate([np.outer(np.arange(5), line), rng.uniform(9, 10, (20, 3))]).astype(np.float32)
+    new = (old @ rotation(seed).T).astype(np.float32)
+    neighbours = torch.tensor([[1, 2, 3, 4]] + [[5, 6, 7, 8]] * 4 + [[(5 + (k + j) % 20) for j in range(1, 5)] for k in range(20)])
+    now, before = new[1:5] - new[0], old[1:5] - old[0]
+    left = np.linalg.svd(now.T @ before)[0][:, 0].astype(float)
+    x = np.array([1.0, 0, 0])
+    p = np.cross(x, left) / np.linalg.norm(np.cross(x, left))
+    expected = np.stack([left, p, np.cross(left, p)], 1) @ np.stack([x, p, np.cross(x, p)], 1).T
+    found = bone_rotations(torch.tensor(old).double(), torch.tensor(new).double(), neighbours, AS_PUBLISHED)
+    np.testing.assert_allclose(found.numpy(), np.broadcast_to(expected, (25, 3, 3)), atol=2e-5)  # float32 positions of order 10
+
+
+def test_as_published_a_line_on_the_x_axis_does_not_turn():
+    line = torch.tensor(np.outer(np.arange(5.0), [0, 0, 1]))
+    to_x = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=torch.float64)
+    neighbours = torch.arange(5).repeat(5, 1)
+    turns = bone_rotations(line, line @ to_x.T, neighbours, replace(CORRECTED, lines_from_x=True))
+    assert torch.equal(turns, torch.eye(3, dtype=torch.float64).repeat(5, 1, 1))
 
 
 def test_rotations_are_averaged_with_one_sign():

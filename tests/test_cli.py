@@ -155,7 +155,7 @@ def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, compare, picture, check, download, list"),
+        (["runn"], "unknown command 'runn'; did you mean 'run'? known: run, table, compare, picture, curve, check, download, list"),
         (["run", "--methods", "ridgid"], "unknown method 'ridgid'; did you mean 'rigid'?"),
         (["run", "--metrics", "chamfre"], "unknown metric 'chamfre'; did you mean 'chamfer'?"),
         (["run", "--tasks", "predictoin"], "unknown task 'predictoin'; did you mean 'prediction'?"),

@@ -365,5 +365,6 @@ def test_lists_in_the_place_of_arrays_are_refused_by_all_who_read_a_case(tmp_pat
     (case / file).write_bytes(pickle.dumps(hostile[file](), 4))
     least = "warning" if "mask" in file else "error"  # a frame without its image is scored by what needs none
     assert any(f.file.name in file and f.severity == least for f in check_case(case))
-    with pytest.raises(ValueError, match=rf"{case / file}: .* must (be an array of numbers|be a \(height, width\) array|have shape \(4, 4\))"):
+    rule = r"must (be an array of numbers|be a \(height, width\) array|have shape \(4, 4\))"
+    with pytest.raises(ValueError, match=f"{case / file}: .* {rule}"):
         CaseImages(case, frames).mask(0, 0) if "mask" in file else read_case(case)

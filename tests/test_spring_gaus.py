@@ -484,12 +484,23 @@ def stage(one, config, *, fps=None, hands=True, frames=TRAIN):
     return made, torch.full((36,), 0.9), 0.01, seen, torch.tensor(one.controllers, dtype=torch.float32), config
 
 
-def test_substeps_rise_after_a_quarter_and_half_of_the_epochs():
-    one = recording()
-    config = replace(LEAST, epochs=4, substeps=60)
-    learned = learn(*stage(one, config, frames=2), np.random.default_rng(0))
-    assert (learned.substeps, learned.capped) == (180, None)
-    assert learn(*stage(one, replace(config, cap=100), frames=2), np.random.default_rng(0)).substeps == 100
+def substeps_by_epoch(config):
+    """Of the only frame that is fitted, in every epoch. The body stays where it is, unseen."""
+    (made, opacity, scale, seen, *rest), asked = stage(recording(), config, frames=3), []
+    made.frame = lambda x, v, now, before, after, substeps: asked.append(substeps) or (x, v)
+    learned = learn(made, opacity, scale, replace(seen, seen=np.zeros_like(seen.seen)), *rest, np.random.default_rng(0))
+    assert learned.capped is None and learned.substeps == asked[-1]
+    return asked
+
+
+def test_substeps_rise_with_the_25th_and_the_50th_of_100_epochs():
+    # published: 50, and 50 more at epochs 25 and 50, which are counted from 1
+    config = replace(LEAST, quirks=AS_PUBLISHED, epochs=100, substeps=50)
+    assert substeps_by_epoch(config) == [50 if epoch < 25 else 100 if epoch < 50 else 150 for epoch in range(1, 101)]
+    assert substeps_by_epoch(replace(config, epochs=8)) == [50] + 2 * [100] + 5 * [150]  # a quarter is 2, half is 4
+    assert substeps_by_epoch(replace(config, epochs=5)) == [50, 100, 150, 150, 150]  # 1.25 and 2.5 are reached in the 2nd and the 3rd
+    assert substeps_by_epoch(replace(config, epochs=1)) == [50]
+    assert substeps_by_epoch(replace(config, epochs=8, cap=120)) == [50] + 2 * [100] + 5 * [120]
 
 
 def stability_limit(made, now, hands):

@@ -4,6 +4,7 @@ from .check import Check
 from .compare import Compare
 from .concealed import Concealed
 from .conform import Conform
+from .curve import Curve
 from .diagnose import Diagnose
 from .download import Download
 from .list import List
@@ -19,6 +20,7 @@ COMMANDS = {
     "table": Table,
     "compare": Compare,
     "picture": Picture,
+    "curve": Curve,
     "check": Check,
     "download": Download,
     "list": List,

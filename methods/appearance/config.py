@@ -24,6 +24,11 @@ class Quirks:
     shared_rank: bool = True
     """One bone whose neighbours do not determine a rotation takes every bone's rotation away in that step; a single bone with neighbours
     on a line lends all others its own."""
+    lines_from_x: bool = True
+    """A bone whose neighbours lie on a line turns as the x axis would to come to lie on it, instead of as the line itself has turned."""
+    float32_rank: bool = True
+    """Neighbours lie on a line where float32 hardly tells their width, about 0.06 % of their length, instead of where it is below 1 %, and
+    in a point only where they are exactly there, instead of within 0.1 mm."""
     fixed_dilation: bool = True
     """The human region is widened by 8 pixels whatever the width of the image, instead of by that share of 848 pixels."""
     one_sided_human: bool = True

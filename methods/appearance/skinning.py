@@ -18,7 +18,9 @@ __all__ = ["NEIGHBOURS", "Pose", "Skinning", "bone_rotations", "quaternions", "r
 NEIGHBOURS = 16  # bones that a bone's rotation is read from, and that a point follows (published)
 CLOSE = 1e-6  # m: added to distances, so that a point on a bone has a finite weight (published)
 LINE = 1e-4  # of the largest singular value: neighbours less than 1 % as wide as long lie on a line, as in ``rigid_motion``
+FLOAT32_LINE = 3 * torch.finfo(torch.float32).eps  # the same where float32 matrices of 3 x 3 lose a rank by default
 POINT = 1e-8  # m^2: neighbours within about 0.1 mm have no direction
+ALONG_X = 1e-6  # sine of the angle to the x axis below which a line lies on it (published)
 
 
 @dataclass(frozen=True)
@@ -72,14 +74,14 @@ class Skinning:
 
     def _move(self, pose, before, now, index, weights):
         old, new = self.bones[before], self.bones[now]
-        turns = bone_rotations(old, new, self.neighbours, shared_rank=self.quirks.shared_rank)
+        turns = bone_rotations(old, new, self.neighbours, self.quirks)
         arms = pose.positions[:, None] - old[index]
         moved = torch.einsum("gkij,gkj->gki", turns[index], arms) + new[index]
         mean = _mean(quaternions(turns)[index], weights, aligned=not self.quirks.unaligned_quaternions)
         return Pose((weights[..., None] * moved).sum(1), _product(mean, pose.rotations))
 
 
-def bone_rotations(old, new, neighbours, *, shared_rank: bool = False) -> torch.Tensor:
+def bone_rotations(old, new, neighbours, quirks: Quirks = CORRECTED) -> torch.Tensor:
     """Rotations (M, 3, 3) of bones ``old`` to ``new`` (M, 3), each from its own ``neighbours`` (M, K): R = U diag(1, 1, det) V^T of
     F = sum_k e'_k e_k^T (Kabsch 1976).
 
@@ -94,15 +96,28 @@ def bone_rotations(old, new, neighbours, *, shared_rank: bool = False) -> torch.
     handed = torch.ones_like(s)
     handed[:, 2] = torch.det(u @ vt).sign()
     turns = (u * handed[:, None]) @ vt
-    rank_none = s[:, 0] <= POINT
-    rank_one = (s[:, 1] <= LINE * s[:, 0]) & ~rank_none
-    swung = _swing(vt[:, 0], u[:, :, 0])
+    line, point = (FLOAT32_LINE, 0.0) if quirks.float32_rank else (LINE, POINT)
+    rank_none = s[:, 0] <= point
+    rank_one = (s[:, 1] <= line * s[:, 0]) & ~rank_none
+    swung = _from_x(u[:, :, 0]) if quirks.lines_from_x else _swing(vt[:, 0], u[:, :, 0])
     still = torch.eye(3, dtype=old.dtype, device=old.device)
-    if shared_rank and bool((rank_one | rank_none).any()):
+    if quirks.shared_rank and bool((rank_one | rank_none).any()):
         alone = int(rank_one.sum()) == 1 and not bool(rank_none.any())
         return (swung[rank_one] if alone else still[None]).expand(len(old), 3, 3)
     turns = torch.where(rank_one[:, None, None], swung, turns)
     return torch.where(rank_none[:, None, None], still, turns)
+
+
+def _from_x(lines):
+    """The smallest rotations (M, 3, 3) of the x axis to the unit vectors ``lines`` (M, 3); none to those that lie on it, either way."""
+    still = torch.eye(3, dtype=lines.dtype, device=lines.device)
+    x = still[0].expand_as(lines)
+    across = torch.linalg.cross(x, lines)
+    on_it = across.norm(dim=1) < ALONG_X
+    across = torch.nn.functional.normalize(across, dim=1)
+    after = torch.stack([lines, across, torch.linalg.cross(lines, across)], 2)
+    before = torch.stack([x, across, torch.linalg.cross(x, across)], 2)
+    return torch.where(on_it[:, None, None], still, after @ before.mT)
 
 
 def _swing(a, b):

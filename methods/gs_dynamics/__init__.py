@@ -31,7 +31,8 @@ class GSDynamics(Method):
     - Tracks: nodes are drawn from the points that are seen in all eight frames of a window, and whose motion from there on is valid in all
       but its last. In a roll-out they are drawn from the tracked points, as in training; surface and interior points are only carried.
     - Axes: z is up, from the ground's normal or else gravity, and 0 on the ground, so that recordings with other axes can be joined.
-    - Length term: edges within the body alone, weight 0.1 (published for ropes and cloths); nodes 3 cm, adjacency 8 cm, 6 neighbours.
+    - Length term: edges within the body alone, weight 0.1 (published for ropes and cloths); nodes 3 cm, adjacency 8 cm, 6 neighbours,
+      batches of 64 windows at full size (published for all but ropes).
     - Transfer: the network as it is, on the target's own particles; nothing is registered. It knows the motions that it was shown and no
       others: on the sample, trained on the drag, it follows a drag to 10 mm, and leaves a body that is lifted by 25 cm on the table (mean
       Chamfer 167 mm, standing still 148); trained on the lift, it lets a dragged one sink up to 5 cm into the table (58, still 53).

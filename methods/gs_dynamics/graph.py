@@ -38,14 +38,16 @@ def edges(body, tools, *, radius: float, neighbours: int, connect_all: bool) -> 
     return np.stack([np.concatenate([order[receivers, column], touching, touched]), np.concatenate([receivers, touched, touching])])
 
 
-def node_features(history, action, tool, *, motion: bool = True):
+def node_features(history, action, tool, padding=None, *, motion: bool = True):
     """(N, 14) of ``history`` (H, N, 3) m, oldest first and z up, ``action`` (N, 3) m and ``tool`` (N,) bool, all torch tensors; H = 3.
 
-    What the node is (body, tool), then with ``motion`` its heights and displacements, then how far the tool goes next; (N, 5) without.
+    What the node is (body, tool; neither where ``padding`` (N,)), then with ``motion`` its heights and displacements, then how far the
+    tool goes next; (N, 5) without.
     """
     import torch
 
-    kind = torch.stack([~tool, tool], dim=1).to(history.dtype)
+    body = ~tool if padding is None else ~(tool | padding)
+    kind = torch.stack([body, tool], dim=1).to(history.dtype)
     moved = history.diff(dim=0).transpose(0, 1).flatten(1)
     return torch.cat([kind, history[..., 2].T, moved, action] if motion else [kind, action], dim=1)
 

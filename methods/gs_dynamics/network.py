@@ -56,9 +56,9 @@ class Network(nn.Module):
         self.propagation = Propagation(width, config.rounds)
         self.head = nn.Sequential(*_layers(width, width, width, 3))
 
-    def forward(self, history, action, tool, pairs):
+    def forward(self, history, action, tool, pairs, padding=None):
         """(N, 3) next positions; rows of tools mean nothing. Arguments as in :func:`~.graph.node_features` and ``edge_features``."""
-        node = self.node_encoder(node_features(history, action, tool, motion=self.motion))
+        node = self.node_encoder(node_features(history, action, tool, padding, motion=self.motion))
         edge = self.edge_encoder(edge_features(history, pairs, tool))
         moved = self.head(self.propagation(node, edge, pairs))
         return history[-1] + moved.clamp(-FARTHEST, FARTHEST)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from .config import CORRECTED, Quirks
+
 __all__ = ["node_rotations", "skin"]
 
 CLOSEST = 1e-4  # m: nearer nodes weigh no more
-LINE = 1e-4  # second over first singular value below which neighbours lie on a line
+LINE = 1e-4  # second over first singular value up to which neighbours lie on a line: they are 1 % as wide as long
+FLOAT32_LINE = 3 * np.finfo(np.float32).eps  # the same where float32 matrices of 3 x 3 lose a rank by default
+ALONG_X = 1e-6  # sine of the angle to the x axis below which a line lies on it (published)
 
 
-def node_rotations(before, after, pairs) -> np.ndarray:
+def node_rotations(before, after, pairs, quirks: Quirks = CORRECTED) -> np.ndarray:
     """(n, 3, 3) rotation of each node: the one that best turns the way to its neighbours ``before`` (n, 3) into that ``after`` (n, 3).
 
     ``pairs`` (2, E) senders and receivers; a receiver's senders are its neighbours. Neighbours on a line leave the turn about it open:
@@ -19,15 +23,28 @@ def node_rotations(before, after, pairs) -> np.ndarray:
     sender, receiver = pairs
     way, way_now = before[sender] - before[receiver], after[sender] - after[receiver]
     products = np.zeros((len(before), 3, 3))
-    np.add.at(products, receiver, way[:, :, None] * way_now[:, None])
+    np.add.at(products, receiver, way_now[:, :, None] * way[:, None])
     u, size, vt = np.linalg.svd(products)
-    v = vt.transpose(0, 2, 1)
-    flip = np.ones((len(before), 3))
-    flip[:, 2] = np.where(np.linalg.det(u) * np.linalg.det(v) < 0, -1.0, 1.0)
-    rotations = (v * flip[:, None]) @ u.transpose(0, 2, 1)
-    for k in np.flatnonzero(size[:, 1] <= LINE * size[:, 0]):
-        rotations[k] = _shortest(u[k, :, 0], v[k, :, 0]) if size[k, 0] > 0 else np.eye(3)
+    rank = (size > (FLOAT32_LINE if quirks.float32_rank else LINE) * size[:, :1]).sum(axis=1)
+    mirrored = np.linalg.det(u @ vt) < 0
+    u[mirrored, :, 2] *= -1
+    rotations = u @ vt
+    for k in np.flatnonzero(rank == 1):
+        now = u[k, :, 0]
+        rotations[k] = _from_x(now) if quirks.lines_from_x else _shortest(vt[k, 0], now)
+    still = (rank == 0) | ((rank == 3) & mirrored & quirks.mirrored_still)
+    rotations[still] = np.eye(3)
     return rotations
+
+
+def _from_x(line):
+    """The rotation by the smallest angle that takes the x axis to the unit vector ``line``; none where it lies on that axis, either way."""
+    x = np.array([1.0, 0.0, 0.0])
+    across = np.cross(x, line)
+    if (sine := np.linalg.norm(across)) < ALONG_X:
+        return np.eye(3)
+    across /= sine
+    return np.stack([line, across, np.cross(line, across)], axis=1) @ np.stack([x, across, np.cross(x, across)])
 
 
 def _shortest(a, b):

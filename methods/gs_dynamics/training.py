@@ -21,13 +21,14 @@ PADDED_EDGES = 900  # rows of the published edge arrays (500 to 1200), over whic
 
 @dataclass(frozen=True)
 class Sample:
-    """One or several windows as one graph: body and tool nodes, N in all.
+    """One or several windows as one graph: body and tool nodes and empty rows, N in all.
 
     history  (H, N, 3) m, what the network sees
     future   (F, N, 3) m, where nodes are in the next steps
     actions  (F, N, 3) m, how far tools go in each step; 0 on the body
     tool     (N,) bool
     pairs    (2, E) senders and receivers
+    padding  (N,) bool, empty rows: without edges, around 0 in ``history`` and 0 in ``future``
     windows  how many
     """
 
@@ -36,23 +37,31 @@ class Sample:
     actions: np.ndarray
     tool: np.ndarray
     pairs: np.ndarray
+    padding: np.ndarray
     windows: int = 1
 
 
 def draw(clip: Clip, window, config: Config, random) -> Sample:
-    """A ``window`` of ``clip`` with nodes drawn anew, turned about the vertical and with noise on its history."""
+    """A ``window`` of ``clip`` with nodes drawn anew, turned about the vertical and with noise on its history.
+
+    With ``diluted_loss`` empty rows fill the body up to ``most_nodes``; they have the noise, too.
+    """
     frames, seen = window
     body = clip.points[frames][:, seen]
     now = body[config.history - 1]
     nodes = farthest_points(now, start=int(random.integers(len(now))), most=config.most_nodes)
     nodes = nodes[farthest_points(now[nodes], start=int(random.integers(len(nodes))), radius=config.node_radius)]
     states = np.concatenate([body[:, nodes], clip.tools[frames]], axis=1) @ _turn(random.uniform(-np.pi, np.pi))
-    tool = np.arange(states.shape[1]) >= len(nodes)
+    count = states.shape[1]
+    empty = config.most_nodes - len(nodes) if config.quirks.diluted_loss else 0
+    states = np.pad(states, [(0, 0), (0, empty), (0, 0)])
+    row = np.arange(count + empty)
+    tool, padding = (row >= len(nodes)) & (row < count), row >= count
     actions = np.diff(states[config.history - 1 :], axis=0) * tool[:, None]
     history = states[: config.history]
     history = history + random.uniform(-config.noise, config.noise, history.shape)
-    pairs = join(history[-1], tool, config)
-    return Sample(history, states[config.history :], actions, tool, pairs)
+    pairs = join(history[-1, :count], tool[:count], config)
+    return Sample(history, states[config.history :], actions, tool, pairs, padding)
 
 
 def join(positions, tool, config: Config) -> np.ndarray:
@@ -67,38 +76,40 @@ def _turn(angle):
 
 
 def collate(samples) -> Sample:
-    """Several graphs as one, without padding."""
+    """Several graphs as one."""
     starts = np.cumsum([0, *(len(s.tool) for s in samples)])
     return Sample(
         *(np.concatenate([getattr(s, name) for s in samples], axis=1) for name in ("history", "future", "actions")),
         np.concatenate([s.tool for s in samples]),
         np.concatenate([s.pairs + start for s, start in zip(samples, starts, strict=False)], axis=1),
+        np.concatenate([s.padding for s in samples]),
         sum(s.windows for s in samples),
     )
 
 
 def loss(network: Network, sample: Sample, config: Config, device: str = "cpu"):
-    """Squared error of positions plus ``length_weight`` times that of edge lengths [m^2], summed over the steps of one roll-out.
+    """Mean squared error of positions plus ``length_weight`` times that of edge lengths [m^2], summed over the steps of one roll-out.
 
     Gradients flow through all steps; the graph stays that of the first. Lengths are compared with those in the oldest step that the
-    network sees, which moves along.
+    network sees, which moves along and becomes a prediction itself. The loss then depends on the weights through both lengths, and so does
+    its gradient; with ``detached_lengths`` through the later one alone. Empty rows count like nodes of the body.
     """
     quirks = config.quirks
     dtype = next(network.parameters()).dtype
     history, future, actions = (torch.as_tensor(a, dtype=dtype, device=device) for a in (sample.history, sample.future, sample.actions))
-    tool, pairs = torch.as_tensor(sample.tool, device=device), torch.as_tensor(sample.pairs, device=device)
+    tool, pairs, padding = (torch.as_tensor(a, device=device) for a in (sample.tool, sample.pairs, sample.padding))
     body = (~tool).nonzero()[:, 0]
     ends = pairs if quirks.origin_lengths else pairs[:, ~tool[pairs].any(dim=0)]
-    rows, lines = len(body), max(ends.shape[1], 1)
-    if quirks.diluted_loss:
-        rows, lines = sample.windows * config.most_nodes, sample.windows * PADDED_EDGES
+    # empty rows of the edge arrays have length 0 in every step, so they need not be there to be counted
+    lines = sample.windows * PADDED_EDGES if quirks.diluted_loss else max(ends.shape[1], 1)
     at_origin = tool[:, None] & quirks.origin_lengths
     total = 0.0
     for target, action in zip(future, actions, strict=True):
-        step = network(history, action, tool, pairs)
+        step = network(history, action, tool, pairs, padding)
         step = torch.where(tool[:, None], target, step)
-        total = total + ((step - target)[body] ** 2).sum() / (3 * rows)
-        change = _lengths(step.masked_fill(at_origin, 0), ends) - _lengths(history[0].masked_fill(at_origin, 0), ends)
+        total = total + ((step - target)[body] ** 2).mean()
+        oldest = history[0].detach() if quirks.detached_lengths else history[0]
+        change = _lengths(step.masked_fill(at_origin, 0), ends) - _lengths(oldest.masked_fill(at_origin, 0), ends)
         total = total + config.length_weight * (change**2).sum() / lines
         history = torch.cat([history[1:], step[None]])
     return total

@@ -83,7 +83,7 @@ class GSDynamicsTwin(Twin):
         if not np.isfinite(after).all():
             return np.full_like(state, np.nan)
         within = pairs[:, (pairs < len(nodes)).all(axis=0)]
-        return skin(state, before, after, node_rotations(before, after, within))
+        return skin(state, before, after, node_rotations(before, after, within, self.config.quirks))
 
     def _hold(self, positions, controllers):
         """A driven marker is where its controller is: that is given to every method, not predicted."""

@@ -59,7 +59,8 @@ class PhysTwin(Method):
         """What of ``observed`` is fitted: so many recordings and frames of each. Raises ValueError where they show different bodies."""
         chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
         used = [observed[k] for k in chosen]
-        _same_body(used)
+        if reason := _mismatch(used):
+            raise ValueError(reason)
         return [_first_frames(o, config.frames) for o in used]
 
     def skip(self, scenario) -> str | None:
@@ -76,6 +77,9 @@ class PhysTwin(Method):
         if apart > reach:
             return f"no controller is within {reach:.3g} m of the body in frame 0: the nearest is {apart:.3g} m away"
         return None
+
+    def skip_jointly(self, scenarios) -> str | None:
+        return _mismatch(scenarios) if any(config.recordings > 1 for config in self.presets.values()) else None
 
     def config(self, preset: str, observed) -> Config:
         """What a preset means on a recording."""
@@ -122,19 +126,20 @@ def _share(progress, stages, stage):
     return lambda label, fraction: progress(label, (stages.index(stage) + fraction) / len(stages))
 
 
-def _same_body(observed):
-    """Refuse to fit one twin on recordings whose particles do not correspond."""
+def _mismatch(observed) -> str | None:
+    """Why recordings cannot be fitted jointly, or None: their particles must correspond."""
     for other in observed[1:]:
         if other.counts != observed[0].counts:
-            raise ValueError(
+            return (
                 f"a twin can be fitted jointly on recordings whose particles correspond, but {observed[0].name} has "
                 f"{observed[0].counts} tracked, surface and interior particles and {other.name} has {other.counts}"
             )
         if other.fps != observed[0].fps:
-            raise ValueError(
+            return (
                 f"recordings that are fitted jointly must have the same frame rate, but {observed[0].name} has "
                 f"{observed[0].fps:g} frames/s and {other.name} has {other.fps:g}"
             )
+    return None
 
 
 def _first_frames(observed, frames):

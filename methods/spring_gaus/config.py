@@ -50,7 +50,7 @@ class Config:
     frames         most frames of a roll-out while learning, or None
     width          images are averaged down to at most so many pixels across, or None
     opacity_steps  steps of the static stage, of which only the opacities are left
-    substeps       per frame at the start; as many more after a quarter and after half of the epochs, and wherever a frame blows up
+    substeps       per frame at the start; as many more from the 25th and from the 50th of 100 epochs on, and wherever a frame blows up
     cap            most substeps per frame: a frame that needs more ends the learning
     """
 

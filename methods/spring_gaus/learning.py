@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from math import ceil
 
 import numpy as np
 import torch
@@ -13,10 +14,10 @@ from .losses import frame_loss, static_loss
 from .silhouettes import Silhouettes
 from .splat import silhouette
 
-__all__ = ["Learned", "Reach", "learn", "material", "opacities"]
+__all__ = ["Learned", "Reach", "learn", "material", "milestone_epochs", "opacities"]
 
 OPACITY, OPACITY_RATE = 0.9, 0.05
-MILESTONES = 0.25, 0.5  # shares of the epochs after which a frame gets more substeps
+MILESTONES = 0.25, 0.5  # shares of the epochs: from that in which one is reached on, a frame gets more substeps
 CLIP = 1.0  # largest norm of a parameter's gradient
 EXPLODED = 10.0  # times the largest distance from the body's median in frame 0
 
@@ -81,6 +82,15 @@ def opacities(points: torch.Tensor, scale: float, seen: Silhouettes, steps: int,
     return logit.detach().sigmoid()
 
 
+def milestone_epochs(epochs: int) -> list[int]:
+    """From which of ``epochs`` on, counted from 0, a frame gets more substeps. Published are the 25th and the 50th of 100; never the first.
+
+    >>> milestone_epochs(100)
+    [24, 49]
+    """
+    return [reached - 1 for share in MILESTONES if (reached := ceil(share * epochs)) > 1]
+
+
 def learn(
     model: Model,
     opacity: torch.Tensor,
@@ -104,7 +114,7 @@ def learn(
     optimiser = torch.optim.Adam(groups, eps=1e-15)
     reach, substeps = Reach(model.anchors), config.substeps
     frames = len(seen.seen) - (1 if config.quirks.idle_last_frame else 0)
-    milestones = [int(share * config.epochs) for share in MILESTONES if int(share * config.epochs) > 0]
+    milestones = milestone_epochs(config.epochs)
     for epoch in range(config.epochs):
         substeps = min(substeps + config.substeps * milestones.count(epoch), config.cap)
         x, v = model.anchors, torch.zeros_like(model.anchors)

@@ -1,0 +1,71 @@
+"""The error over the number of recordings that twins are fitted on, from the results of a run (needs matplotlib)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .ablations import clips_of
+from .picture import COLORS, blank_figure, drawable, save
+from .results import Results
+from .table import Block, Line, blocks
+
+__all__ = ["curves", "draw_curves"]
+
+
+def curves(block: Block, metric: str) -> dict[str, list[tuple[int | None, Line]]]:
+    """The lines of a table in which ``metric`` is scored, method by method, each with the number of recordings that twins are fitted on.
+
+    That is None where the name does not say it: such methods have a single line.
+    """
+    found: dict[str, list[tuple[int | None, Line]]] = {}
+    for line in block.lines:
+        if line.counts.get(metric):
+            method, count = clips_of(line.method)
+            found.setdefault(method, []).append((count, line))
+    return {method: sorted(lines, key=lambda one: one[0] or 0) for method, lines in found.items()}
+
+
+def draw_curves(results: Results, metric: str, path: Path) -> None:
+    """Write the picture: one panel for each task in which twins of different numbers of recordings are scored.
+
+    Means are those of the tables; where fewer rows are scored than planned, it is said beside the mean. Methods without such numbers and
+    published figures are level lines. Raises ValueError as ``drawable`` does, and where there is nothing to draw.
+    """
+    drawable(path)
+    panels = [(block, found) for block in blocks(results) if len(_counts(found := curves(block, metric))) > 1]
+    if not panels:
+        raise ValueError(f"no {metric} of twins of different numbers of recordings: twinbench run --ablation clips scores such")
+    figure = blank_figure(3.6 * len(panels) + 1.4, 3.2)
+    colors = {method: COLORS[i % len(COLORS)] for i, method in enumerate(dict.fromkeys(m for _, found in panels for m in found))}
+    named = {}
+    for panel, (block, found) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        _panel(panel, block, found, metric, results.units[metric], colors)
+        named |= {line.get_label(): line for line in panel.lines}
+    figure.legend(handles=named.values(), loc="outside right upper", fontsize=6.5, frameon=False)
+    save(figure, path)
+
+
+def _counts(found) -> list[int]:
+    return sorted({count for lines in found.values() for count, _ in lines if count is not None})
+
+
+def _panel(panel, block: Block, found, metric: str, unit: str, colors) -> None:
+    lengths, counts = unit == "m", _counts(found)
+    for method, lines in found.items():
+        color, means = colors[method], [line.means[metric] * (1e3 if lengths else 1) for _, line in lines]
+        if lines[0][0] is None:
+            panel.axhline(means[0], color=color, linewidth=1.2, linestyle=":" if lines[0][1].published else "--", label=method)
+            continue
+        panel.plot([count for count, _ in lines], means, color=color, linewidth=1.6, marker="o", markersize=4, label=method)
+        for (count, line), mean in zip(lines, means, strict=True):
+            if line.counts[metric] < line.rows:
+                said = f"{line.counts[metric]} of {line.rows}"
+                panel.annotate(said, (count, mean), xytext=(3, 4), textcoords="offset points", fontsize=6, color=color)
+    panel.set_xscale("log")
+    panel.set_xticks(counts, [str(count) for count in counts])
+    panel.minorticks_off()
+    panel.set_ylim(bottom=0)
+    panel.set_title(f"{metric} [{'mm' if lengths else unit or '-'}], {block.collection}, {block.task}", fontsize=8)
+    panel.set_xlabel("recordings fitted on", fontsize=8)
+    panel.tick_params(labelsize=7)
+    panel.spines[["top", "right"]].set_visible(False)
