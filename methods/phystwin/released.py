@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -221,7 +220,9 @@ def read_settings(file: Path) -> Config:
         raise ValueError(f"{file}: not the settings of a twin ({error})") from None
 
 
-def _settled(said: Mapping, config: Config) -> Config:
+def _settled(said, config: Config) -> Config:
+    if not isinstance(said, dict):
+        raise ValueError(f"must hold an object, got a {type(said).__name__}")
     known = {"quirks": dict, "substeps": (int, str), "most_substeps": int}
     for key, value in said.items():
         if key not in known:
