@@ -21,7 +21,7 @@ from .released import ENGINE, STORED, Engine, Looks, Reader, StoredTrajectory
 from .results import Results
 from .runner import Settings
 
-__all__ = ["Apart", "apart", "scored", "write_apart"]
+__all__ = ["Apart", "apart", "overall", "scored", "write_apart"]
 
 
 @dataclass(frozen=True)
@@ -37,11 +37,20 @@ class Apart:
     frame: int
 
     def __str__(self):
+        mean, train, test, largest = (f"{1e3 * value:.3g} mm" for value in (self.mean, self.mean_train, self.mean_test, self.largest))
         return (
-            f"{self.scenario}: our engine is {self.mean * 1e3:.4f} mm from the stored trajectory on average "
-            f"({self.mean_train * 1e3:.4f} mm in the train frames, {self.mean_test * 1e3:.4f} mm in the test frames), "
-            f"{self.largest * 1e3:.4f} mm at most, in frame {self.frame}"
+            f"{self.scenario}: our engine is {mean} from the stored trajectory on average ({train} in the train frames, {test} in the "
+            f"test frames), {largest} at most, in frame {self.frame}"
         )
+
+
+def overall(gaps: Sequence[Apart]) -> str:
+    """One line on several recordings, counted alike; "" where there are not several."""
+    if len(gaps) < 2:
+        return ""
+    worst = max(gaps, key=lambda gap: gap.largest)
+    mean = 1e3 * np.mean([gap.mean for gap in gaps])
+    return f"All {len(gaps)}: {mean:.3g} mm on average, {1e3 * worst.largest:.3g} mm at most, in frame {worst.frame} of {worst.scenario}"
 
 
 def apart(scenario: str, ours: Trajectory, stored: Trajectory, train_end: int) -> Apart:

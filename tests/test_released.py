@@ -19,7 +19,7 @@ import torch
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.released import Looks
 from twinbench.benchmark.results import read_results
-from twinbench.benchmark.score import apart
+from twinbench.benchmark.score import apart, overall
 from twinbench.datasets.phystwin import read_case
 from twinbench.methods.appearance.config import AS_PUBLISHED as LOOK
 from twinbench.methods.base import Trajectory
@@ -226,7 +226,7 @@ def test_score_prints_both_and_how_far_they_are_apart(made, tmp_path, monkeypatc
         assert found[task, stored]["track_error"] == pytest.approx(expected, rel=1e-5)
         assert found[task, ours]["track_error"] == pytest.approx(expected, abs=ROUNDING)
     printed = capsys.readouterr().out
-    assert "single_push_rope: our engine is 0.000" in printed and "mm at most, in frame" in printed
+    assert "single_push_rope: our engine is " in printed and "mm at most, in frame" in printed
     (gap,) = csv.DictReader((tmp_path / "out" / "apart.csv").open())
     assert 0 < float(gap["mean"]) < float(gap["largest"]) < ROUNDING
     assert score(made, tmp_path, monkeypatch)[0] == 0
@@ -288,6 +288,10 @@ def test_apart_is_a_distance():
     gap = apart("one", Trajectory(moved, (2, 0, 0)), still, train_end=3)
     assert (gap.mean, gap.mean_train, gap.mean_test) == pytest.approx((15e-3 / 6, 5e-3 / 4, 10e-3 / 2), rel=1e-6)
     assert gap.largest == pytest.approx(1e-2) and gap.frame == 3
+    assert "one: our engine is 2.5 mm from the stored trajectory on average (1.25 mm in the train frames, 5 mm in the" in str(gap)
+    assert overall([gap]) == ""
+    other = replace(gap, scenario="other", mean=5e-4, largest=2e-2, frame=1)
+    assert overall([gap, other]) == "All 2: 1.5 mm on average, 20 mm at most, in frame 1 of other"
 
 
 def test_released_gaussians_are_shown_where_there_are_any(made, observed):

@@ -48,7 +48,7 @@ class Score:
         from ..opening import open_recordings
         from ..plan import TASKS
         from ..results import write_results
-        from ..score import scored, write_apart
+        from ..score import overall, scored, write_apart
         from ..table import terminal
 
         for option, value, choices in (("preset", self.preset, PRESETS), ("device", self.device, DEVICES), ("split", self.split, SPLITS)):
@@ -66,8 +66,11 @@ class Score:
         results, gaps = scored(opened, {name: found[name] for name in both}, metrics, cache=cache, **options)
         written = [*write_results(results, folder), *write_leaderboard(results, folder), write_apart(gaps, folder)]
         print(terminal(results))
-        for gap in gaps:
-            print(gap)
+        for line in filter(None, (*gaps, overall(gaps))):
+            print(line)
+        clouds = [name for name in both if found[name].point_cloud]
+        if clouds and any(metric.images for metric in metrics.values()):
+            print(f"Images show released Gaussians of {_some(clouds)}")
         for kind, missing in (("twin", [n for n in here if n not in found]), ("recording", [n for n in found if n not in here])):
             if missing:
                 print(f"Not scored, for want of a {kind}: {_some(missing)}")
