@@ -16,13 +16,13 @@ __all__ = ["COMMANDS"]
 
 COMMANDS = {
     "run": Run,
-    "score": Score,
-    "export": Export,
     "table": Table,
     "picture": Picture,
     "check": Check,
     "download": Download,
     "list": List,
+    "score": Score,
+    "export": Export,
     "diagnose": Diagnose,
     "concealed": Concealed,
     "real": Real,
