@@ -79,5 +79,5 @@ class Score:
 
 
 def _some(names) -> str:
-    names = list(names)
+    names = [name if name.isprintable() else ascii(name) for name in names]
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
