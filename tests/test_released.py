@@ -152,7 +152,7 @@ def test_nothing_in_a_file_is_run(which, files, observed, tmp_path):
 CHECKPOINTS = {
     "missing": (lambda c: c.pop("collide_fric"), "collide_fric missing; it holds epoch, num_object_springs, spring_Y"),
     "other springs": (lambda c: c.update(num_object_springs=153), "num_object_springs must be 154, as many as .* get, got 153"),
-    "a tensor": (lambda c: c.update(num_object_springs=torch.tensor(154)), "num_object_springs must be 154"),
+    "a tensor": (lambda c: c.update(num_object_springs=torch.tensor(154)), "num_object_springs must be 154, .* got a Tensor"),
     "one too many": (
         lambda c: c.update(spring_Y=torch.ones(190)),
         r"spring_Y must have shape \(189,\) for the 154 .* and 35 .*, got \(190,\)",
@@ -182,6 +182,7 @@ TRAJECTORIES = {
     "a frame less": (lambda x: x[1:], r"must have shape \(6, 34, 3\), the recording's frames and its particles, got \(5, 34, 3\)"),
     "with controllers": (lambda x: np.concatenate([x, x[:, :5]], 1), r"got \(6, 39, 3\)"),
     "nan": (lambda x: np.where(np.arange(6)[:, None, None] == 4, np.nan, x), "must be finite, got NaN or infinity in frame 4"),
+    "far away": (lambda x: np.where(np.arange(6)[:, None, None] == 2, 1e300, x), "must be finite, got NaN or infinity in frame 2"),
     "another order": (lambda x: x[:, ::-1], r"frame 0 must be the recording's particles to 0.0001 m .*, got 0.\d+ m off"),
 }
 
@@ -189,7 +190,7 @@ TRAJECTORIES = {
 @pytest.mark.parametrize("case", TRAJECTORIES)
 def test_trajectories_that_do_not_fit_are_refused(case, files, observed, made):
     spoil, said = TRAJECTORIES[case]
-    files.trajectory.write_bytes(pickle.dumps(spoil(made.stored.astype(np.float32))))
+    files.trajectory.write_bytes(pickle.dumps(spoil(made.stored)))
     with pytest.raises(ValueError, match=rf"inference\.pkl: .*{said}"):
         read_trajectory(files.trajectory, observed)
 
@@ -244,6 +245,15 @@ def test_a_damaged_file_is_a_failed_row_and_exit_code_1(made, tmp_path, monkeypa
     assert "best_40.pth: not a complete checkpoint" in " ".join(capsys.readouterr().out.split())
 
 
+def test_twins_and_recordings_in_one_folder(made, tmp_path, monkeypatch):
+    # as twinbench download puts them
+    shutil.copytree(made.twins, tmp_path / "all")
+    shutil.copytree(made.data, tmp_path / "all" / "different_types")
+    monkeypatch.setenv("TWINBENCH_CACHE", str(tmp_path / "cache"))
+    assert main(["score", "--released", str(tmp_path / "all"), "--metrics", "chamfer", "--out", str(tmp_path / "out")]) == 0
+    assert {row["status"] for row in read_results(tmp_path / "out").rows} == {"ok"}
+
+
 def test_transfer_and_recordings_without_a_twin(made, tmp_path, monkeypatch, capsys):
     # a published pair, of which one twin was released: it is placed in the other recording, whose own twin is not there
     data = tmp_path / "data"
@@ -269,6 +279,7 @@ def replace_twins(made, twins, data=None):
     [
         (["--released", "{twins}/nowhere", "--data", "{data}"], "no released twins at"),
         (["--released", "{twins}", "--data", "sample"], "holds twins of single_push_rope, and sample recordings of plush_"),
+        (["--released", "{twins}"], "no recordings at"),
         (["--released", "{twins}", "--data", "{data}", "--tasks", "dance"], "unknown task 'dance'"),
         (["--released", "{twins}", "--data", "{data}", "--tasks", "transfer"], "nothing to score: no task of transfer"),
     ],

@@ -51,6 +51,16 @@ def test_tensors_numbers_dicts_and_lists_come_out(tmp_path):
         np.testing.assert_array_equal(torch_file.tensor_of(found[key], "f.pth", key, len(expected)), expected)
 
 
+def test_tensors_of_a_graphics_card_come_out_on_the_cpu(file):
+    # as the published checkpoints were saved: each storage says where it was
+    with zipfile.ZipFile(file) as archive:
+        found = archive.read(next(name for name in archive.namelist() if name.endswith("data.pkl")))
+    here, there = (b"X" + struct.pack("<I", len(name)) + name for name in (b"cpu", b"cuda:0"))
+    assert found.count(here) == 1
+    program(file, found.replace(here, there))
+    np.testing.assert_array_equal(torch_file.tensor_of(torch_file.load(file)["a"], file, "a", 300), np.arange(300.0))
+
+
 def test_what_cannot_be_opened(file, tmp_path):
     for path, said in ((tmp_path / "none.pth", "No such file"), (tmp_path, "not a file")):
         with pytest.raises(ValueError, match=rf"{path.name}: cannot be read \({said}"):

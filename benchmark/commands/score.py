@@ -24,8 +24,8 @@ class Score:
     released: Annotated[Path, arg(metavar="DIR")]
     """Folder with experiments_optimization, experiments and, if any, gaussian_output, as twinbench download unpacks them; or with one
     folder a twin, which holds all its files."""
-    data: Annotated[tuple[str, ...], arg(metavar="PATH ...")]
-    """The recordings: folders in a known layout (see twinbench list)."""
+    data: Annotated[tuple[str, ...], arg(metavar="PATH ...")] = ()
+    """The recordings: folders in a known layout (see twinbench list). Default: those in the folder of the twins."""
     scenarios: Names = ()
     """Score only these recordings. Default: all of which there is a twin."""
     metrics: Names = ()
@@ -55,11 +55,12 @@ class Score:
             known(option, [value], choices)
         known("task", self.tasks, TASKS)
         metrics, cache, found = chosen_metrics(self.metrics), Cache(default_cache()), released(self.released)
-        opened = [open_recordings(path, split=self.split, cache=cache) for path in dict.fromkeys(self.data)]
+        data = list(dict.fromkeys(self.data)) or [str(self.released)]
+        opened = [open_recordings(path, split=self.split, cache=cache) for path in data]
         here = list(dict.fromkeys(name for one in opened for name in one.collection.scenarios))
         known("scenario", self.scenarios, here)
         if not (both := [name for name in here if name in found]):
-            raise ValueError(f"{self.released} holds twins of {_some(found)}, and {', '.join(self.data)} recordings of {_some(here)}")
+            raise ValueError(f"{self.released} holds twins of {_some(found)}, and {', '.join(data)} recordings of {_some(here)}")
         name = "+".join(dict.fromkeys(one.collection.name for one in opened))
         folder = writable(self.out or Path("results") / f"{name}-released")
         options = {"tasks": self.tasks or tuple(TASKS), "scenarios": self.scenarios, "preset": self.preset, "device": self.device}

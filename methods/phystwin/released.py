@@ -43,7 +43,9 @@ CONTACT = ("collide_elas", "collide_fric", "collide_object_elas", "collide_objec
 BOUNDS = {"global_spring_Y": (0.0, FARTHEST)}
 BOUNDS |= {f"{end}_radius": (1e-4, 1.0) for end in ("object", "controller")}  # m
 BOUNDS |= {f"{end}_max_neighbours": (1, 500) for end in ("object", "controller")}  # published: at most 80
-BOUNDS |= {p.name: (p.low, p.high) for term in (Ground, SelfCollision, LinearDrag, Dashpot) for p in term.parameters}
+BOUNDS |= {
+    p.name: (p.low, p.high) for term in (Ground, SelfCollision, LinearDrag, Dashpot) for p in term.parameters if p.name in PARAMETERS
+}
 ARCHIVES = {"parameters": "experiments_optimization", "experiment": "experiments", "gaussians": "gaussian_output"}
 APPEARANCE = "init=hybrid_iso=True_ldepth=0.001_lnormal=0.0_laniso_0.0_lseg=1.0"  # the published run of the Gaussians
 SETTINGS = "twinbench.json"  # beside a checkpoint that was written here: how its twin is stepped, where not as published
@@ -155,10 +157,13 @@ def read_checkpoint(file: str | Path, springs: int, pulls: int) -> tuple[np.ndar
     found = torch_file.load(file)
     missing = [key for key in ("num_object_springs", "spring_Y", *CONTACT) if key not in found]
     if missing:
-        raise ValueError(f"{file}: {', '.join(missing)} missing; it holds {', '.join(map(str, list(found)[:20])) or 'nothing'}")
+        raise ValueError(
+            f"{file}: {', '.join(missing)} missing; it holds {', '.join(str(key)[:40] for key in list(found)[:20]) or 'nothing'}"
+        )
     count = found["num_object_springs"]
     if type(count) is not int or count != springs:
-        raise ValueError(f"{file}: num_object_springs must be {springs}, as many as the recording's particles get, got {count!r}")
+        said = count if type(count) is int and abs(count) < 1e12 else f"a {type(count).__name__}"
+        raise ValueError(f"{file}: num_object_springs must be {springs}, as many as the recording's particles get, got {said}")
     why = f" for the {springs} springs of the object and {pulls} of controllers that the recording gets"
     stiffness = torch_file.tensor_of(found["spring_Y"], file, "spring_Y", springs + pulls, why=why)
     if (stiffness < 0).any():
@@ -177,7 +182,8 @@ def read_trajectory(file: str | Path, observed: Observed) -> np.ndarray:
         raise ValueError(f"{file}: must hold an array of floating-point numbers, got {kind}")
     if found.shape != shape:
         raise ValueError(f"{file}: must have shape {shape}, the recording's frames and its particles, got {found.shape}")
-    found = found.astype(np.float32)
+    with np.errstate(over="ignore"):  # what is too large is said below
+        found = found.astype(np.float32)
     bad = np.flatnonzero(~np.isfinite(found).all(axis=(1, 2)))
     if len(bad):
         raise ValueError(f"{file}: positions must be finite, got NaN or infinity in frame {bad[0]}")
