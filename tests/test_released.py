@@ -16,9 +16,14 @@ import numpy as np
 import pytest
 import released_files
 import torch
+from twinbench.benchmark.cache import Cache
 from twinbench.benchmark.cli import main
+from twinbench.benchmark.opening import open_recordings
+from twinbench.benchmark.picture import Player
+from twinbench.benchmark.plan import Evaluation, Fit
 from twinbench.benchmark.released import Looks
 from twinbench.benchmark.results import read_results
+from twinbench.benchmark.runner import Settings
 from twinbench.benchmark.score import apart, overall
 from twinbench.datasets.phystwin import read_case
 from twinbench.methods.appearance.config import AS_PUBLISHED as LOOK
@@ -28,6 +33,8 @@ from twinbench.methods.phystwin.body import Place
 from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, Config
 from twinbench.methods.phystwin.publish import write_twin
 from twinbench.methods.phystwin.released import read_checkpoint, read_parameters, read_trajectory, read_twin, released
+from twinbench.methods.registry import methods
+from twinbench.metrics.base import get_metric
 from twinbench.physics.terms import Gravity
 
 NAME = "single_push_rope"
@@ -312,6 +319,34 @@ def test_released_gaussians_are_shown_where_there_are_any(made, observed):
     np.testing.assert_array_equal(shown.gaussians.log_scales, made.cloud["scale_0"])
     with pytest.raises(ValueError, match="and the recording has none"):  # fitted as ever, and this recording has none
         looks.fit(replace(observed, name="another"), preset="quick", seed=0, quirks=LOOK)
+
+
+def test_images_show_the_released_gaussians_and_rows_are_known_by_them(files, tmp_path):
+    cache, evaluation = Cache(tmp_path / "cache"), Evaluation("resimulation", "plush_lift")
+    fit = Fit("static", ("plush_lift",), 0, (evaluation,))
+    opened = open_recordings("sample", split="published", cache=cache)
+
+    def player():
+        looks = Looks({"plush_lift": files})
+        found = Player(opened, Settings({"static": methods()["static"]}, {"psnr": get_metric("psnr")}, appearance=looks), cache)
+        found.learn([fit])
+        return found
+
+    def pixels():
+        camera = opened.collection.load("plush_lift").cameras[0]
+        return player().play(fit, evaluation).image(camera, 0)[..., 3]
+
+    # one opaque Gaussian of 1 cm in the middle of the body, then a hundredth of that
+    centre = opened.collection.load("plush_lift").structure.mean(0)
+    key, seen = {}, {}
+    for size in (1e-2, 1e-4):
+        cloud = released_files.gaussians(1, 0) | {"opacity": np.float32([9.0]), "scale_0": np.float32([np.log(size)])}
+        cloud |= {name: np.float32([x]) for name, x in zip("xyz", centre, strict=True)}
+        files.point_cloud.write_bytes(released_files.point_cloud(cloud))
+        key[size], seen[size] = player().row_origin(fit, evaluation).key, pixels()
+    assert key[1e-2] != key[1e-4]
+    assert seen[1e-2].max() > 0.5  # the nearest pixel may be 0.7 pixels from its centre, where it has 0.9999
+    assert seen[1e-2].sum() > 3 * seen[1e-4].sum() > 0
 
 
 # ---------------------------------------------------------------- writing
