@@ -110,6 +110,10 @@ class StoredTrajectory(_Released):
     twin_class = Stored
     skip_transfer = NOT_STORED
 
+    def skip(self, scenario):
+        file = self.found[scenario.name].trajectory
+        return None if file.exists() else f"no trajectory was stored: {file} is not there"
+
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None):
         return Stored(read_trajectory(self.found[observed[0].name].trajectory, observed[0]), observed[0].counts)
 

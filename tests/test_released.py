@@ -21,13 +21,13 @@ from twinbench.benchmark.cli import main
 from twinbench.benchmark.opening import open_recordings
 from twinbench.benchmark.picture import Player
 from twinbench.benchmark.plan import Evaluation, Fit
-from twinbench.benchmark.released import Looks
+from twinbench.benchmark.released import Engine, Looks, Rolled
 from twinbench.benchmark.results import read_results
 from twinbench.benchmark.runner import Settings
 from twinbench.benchmark.score import apart, overall
 from twinbench.datasets.phystwin import read_case
 from twinbench.methods.appearance.config import AS_PUBLISHED as LOOK
-from twinbench.methods.base import Trajectory
+from twinbench.methods.base import Budget, Diverged, Trajectory
 from twinbench.methods.phystwin import PhysTwin
 from twinbench.methods.phystwin.body import Place
 from twinbench.methods.phystwin.config import AS_PUBLISHED, CORRECTED, Config
@@ -250,6 +250,27 @@ def test_a_damaged_file_is_a_failed_row_and_exit_code_1(made, tmp_path, monkeypa
     status = {row["method"]: row["status"] for row in results.rows}
     assert code == 1 and sorted(status.values()) == ["failed", "ok"]
     assert "best_40.pth: not a complete checkpoint" in " ".join(capsys.readouterr().out.split())
+
+
+def test_a_twin_without_a_stored_trajectory_is_scored_alone(made, tmp_path, monkeypatch, capsys):
+    alone = tmp_path / "alone"
+    shutil.copytree(made.twins, alone, ignore=shutil.ignore_patterns("inference.pkl"))
+    code, results = score(replace_twins(made, alone), tmp_path, monkeypatch)
+    assert code == 0 and sorted(row["status"] for row in results.rows) == ["ok", "ok", "skipped", "skipped"]
+    printed = capsys.readouterr().out
+    assert "no trajectory was stored" in printed and "our engine is" not in printed
+
+
+def test_a_twin_that_blew_up_says_so_to_whoever_asks(files, observed, tmp_path):
+    files.settings.write_text(
+        json.dumps({"quirks": {"long_frame": False}, "substeps": 1})
+    )  # omega dt = 3e2 at 1e5 N and 1 cm; 2 is the limit
+    rolled = Engine({NAME: files}).fit([observed], budget=Budget())
+    rolled.save(tmp_path)
+    for twin in (rolled, Rolled.load(tmp_path)):
+        assert twin.positions is None
+        with pytest.raises(Diverged):
+            twin.rollout(observed.controllers)
 
 
 def test_twins_and_recordings_in_one_folder(made, tmp_path, monkeypatch):
