@@ -47,8 +47,9 @@ def changes(before: Mapping, after: Mapping) -> str:
     else:
         data = ["other images of the recordings are looked at"]
     options = ["the method's options changed"] if old.get("method") != new.get("method") else []
+    shown = ["it is shown with other Gaussians"] if old.get("kind") != new.get("kind") else []
     metrics = ["a metric has another version, or can be had now or no longer"] if old.get("metrics") != new.get("metrics") else []
-    return ", ".join([*data, *code_changes(old.get("code", {}), new.get("code", {})), *options, *metrics])
+    return ", ".join([*data, *code_changes(old.get("code", {}), new.get("code", {})), *options, *shown, *metrics])
 
 
 def code_changes(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:

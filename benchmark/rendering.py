@@ -34,7 +34,7 @@ class Appearances:
 
     As in PhysTwin's evaluation (arXiv 2503.17973, section 5) roll-outs of all methods that are shown alike move the same appearance of the
     recording they are scored on, a transfer's the target's. ``folder`` is where the recordings are, ``kind()`` is its class: ``fit``,
-    ``load``, ``save`` and ``animate`` as in ``methods/appearance``.
+    ``load``, ``save`` and ``animate`` as in ``methods/appearance``; or what stands in for it, with a ``key`` of the files that it reads.
     """
 
     def __init__(self, cache: Cache, *, preset: str, device: str, folder: str = "", kind: Callable[[], type] = appearance_class):
@@ -62,7 +62,7 @@ class Appearances:
     def _origin(self, scenario: Scenario, checksums: Mapping[str, str], look: str, quirks: Quirks) -> Origin:
         modules = modules_of(self._kind())
         inputs = {"code": SOURCES.files(*modules), "data": list(checksums.values()), "method": asdict(quirks)}
-        inputs |= {"look": look, "seed": SEED, "preset": self._preset, "device": self._device}
+        inputs |= {"look": look, "seed": SEED, "preset": self._preset, "device": self._device, "kind": getattr(self._kind(), "key", None)}
         subject = {"recordings": [scenario.name], "folder": self._folder, "data": list(checksums), "modules": list(modules)}
         return Origin(inputs, subject)
 

@@ -362,6 +362,7 @@ class Runner:
             "data": [self._checksums[name] for name in data],
             "task": evaluation.task,
             "look": self._look(fit, evaluation),
+            "kind": getattr(self.settings.appearance(), "key", None) if images else None,
             "metrics": [[name, metric.version, name in available] for name, metric in metrics.items()],
         }
         subject = self._subject(fit, data, (*origin.subject["modules"], *modules))

@@ -7,10 +7,12 @@ from .conform import Conform
 from .curve import Curve
 from .diagnose import Diagnose
 from .download import Download
+from .export import Export
 from .list import List
 from .picture import Picture
 from .real import Real
 from .run import Run
+from .score import Score
 from .table import Table
 
 __all__ = ["COMMANDS"]
@@ -25,6 +27,8 @@ COMMANDS = {
     "download": Download,
     "list": List,
     "conform": Conform,
+    "score": Score,
+    "export": Export,
     "diagnose": Diagnose,
     "concealed": Concealed,
     "real": Real,
