@@ -123,7 +123,9 @@ def make_cells(kit):
     bent, unbent, moments, spread = cell_functions(kit)
 
     @wp.func
-    def leave(w: World, c: int, inverse: mat, q1: vec, q2: vec, q3: vec, q4: vec, first: mat, t1: vec, t2: vec, t3: vec, t4: vec, half: vec):
+    def leave(
+        w: World, c: int, inverse: mat, q1: vec, q2: vec, q3: vec, q4: vec, first: mat, t1: vec, t2: vec, t3: vec, t4: vec, half: vec
+    ):
         """Leave the forces on the corners of cell ``c`` that adjoints of F_0 and q stand for."""
         back = wp.transpose(inverse)
         g1 = back * t1

@@ -23,7 +23,7 @@ from .grids import CORNERS, Grid
 
 __all__ = ["MODES", "internal_forces", "strain_modes"]
 
-MODES = np.stack([CORNERS[:, 1] * CORNERS[:, 2], CORNERS[:, 2] * CORNERS[:, 0], CORNERS[:, 0] * CORNERS[:, 1], CORNERS.prod(1)], 1)  # (8, 4)
+MODES = np.stack([np.delete(CORNERS, k, 1).prod(1) for k in range(3)] + [CORNERS.prod(1)], 1)  # (8, 4)
 
 
 def strain_modes(points, size, lateral: float) -> np.ndarray:
@@ -39,9 +39,8 @@ def strain_modes(points, size, lateral: float) -> np.ndarray:
     for k in range(4):
         for i in range(3):
             for j in range(3):
-                if i == j or k == i or k == j:  # h_k for k < 3 is the product of the other two
-                    if k < 3 or i == j:
-                        modes[..., k, i, i, j] = slopes[..., k, j]
+                if i == j or k in (i, j):  # h_k for k < 3 is the product of the other two
+                    modes[..., k, i, i, j] = slopes[..., k, j]
     for across in range(3):
         for i in range(3):
             if i != across:

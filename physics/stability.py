@@ -115,7 +115,8 @@ def stable_rounds(system: System, dt: float) -> int:
     single = dt * _fastest(system, free, "viscous") / 2  # how many of the longest single steps
     rounds = next((n for n in (1, *range(2, MOST_ROUNDS + 1, 2)) if reach(n) >= single), None)
     if rounds is None:
-        raise ValueError(f"damping asks for more than {MOST_ROUNDS} rounds in a substep of {dt:.3g} s: take shorter ones (system {system.name})")
+        where = f" (system {system.name})" if system.name else ""
+        raise ValueError(f"damping asks for more than {MOST_ROUNDS} rounds in a substep of {dt:.3g} s: take shorter ones{where}")
     return rounds
 
 

@@ -30,7 +30,8 @@ def law(deformed, rate):
 
 def samples(size, count):
     """Points spread evenly over a box from the origin."""
-    return np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * s / n for n, s in zip(count, size, strict=True)], indexing="ij"), -1).reshape(-1, 3)
+    along = [(np.arange(n) + 0.5) * s / n for n, s in zip(count, size, strict=True)]
+    return np.stack(np.meshgrid(*along, indexing="ij"), -1).reshape(-1, 3)
 
 
 def bar(*, size=(0.06, 0.026, 0.026), pitch=0.013, offset=(0.3, 0.25, 0.5), turn=None):
@@ -210,7 +211,8 @@ def test_a_cantilever_bends_as_a_beam(offset, degrees):
     turn = about_z(degrees)
     grid = embed(straight @ turn.T, length * thick**2, thick / 2, axes=np.eye(3), offset=(offset,) * 3)
     nodes, weights = grid.locate(straight @ turn.T)
-    carry = sparse.csr_matrix((weights.ravel(), (np.repeat(np.arange(len(nodes)), 8), nodes.ravel())), shape=(len(nodes), len(grid.positions)))
+    rows = np.repeat(np.arange(len(nodes)), 8)
+    carry = sparse.csr_matrix((weights.ravel(), (rows, nodes.ravel())), shape=(len(nodes), len(grid.positions)))
     clamp, tip, up = np.flatnonzero(straight[:, 0] < 0.03), np.flatnonzero(straight[:, 0] > length - 2 * step), turn[:, 1]
     hold = sparse.kron(carry[clamp].T @ carry[clamp], sparse.eye(3)) * (8e3 * YOUNG * thick / 2 / len(clamp))
     load = np.asarray(carry[tip].mean(0)).ravel()[:, None] * up
@@ -324,7 +326,7 @@ def test_a_free_body_keeps_momentum_and_loses_energy_only_by_damping():
     masses = grid.masses(DENSITY)[:, None]
     for damping in (0.0, 0.01):
         one = solid(grid=grid, held=False, gravity=False, damping=damping, v=v)
-        out, x1, v1 = Batch([one], fps=30, substeps=200, double=True).march(0, 10)
+        _, x1, v1 = Batch([one], fps=30, substeps=200, double=True).march(0, 10)
         np.testing.assert_allclose((masses * v1.numpy()).sum(0), (masses * v).sum(0), rtol=1e-9)
         spin = np.cross(grid.positions, masses * v).sum(0)
         # forces of a substep act at its start, velocities move to its end: what is exact is spin of x_k and v_k, up to v x v = 0
