@@ -45,7 +45,6 @@ class Tracker(Method):
     """
 
     name = "tracker"
-    twin_class = Tracked
     whole = True
     twin_class = Tracked
     skip_transfer = OWN_RECORDING

@@ -14,6 +14,7 @@ Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` be
 
 import warp as wp
 
+from .cells import make_back_cells
 from .finding import lowest
 from .forward import HELD_MASS, node_functions, recalling, sighting
 from .native import barrier
@@ -29,8 +30,12 @@ def make_backward(kit):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
     pa, ps, remembering, hinged = kit.vectors["axial"], kit.vectors["strand"], kit.remembering, kit.hinged
-    load_axial, load_strand, load_hinge, load_facet, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
-    skinned = kit.skinned
+    load = kit.load
+    load_axial, load_strand, load_hinge, load_facet, load_solid = (load[s] for s in ("axial", "strand", "hinge", "facet", "solid"))
+    load_viscous, load_body, load_observer, load_velocity = (load[s] for s in ("viscous", "body", "observer", "velocity"))
+    load_contact, load_move = load["contact"], load["move"]
+    skinned, filled, easing = kit.skinned, kit.filled, kit.easing
+    back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (None, None, None)
     back_press, grown, back_pressed = make_back_skin(kit) if skinned else (None, None, None)
     back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
     get_x, get_v, sum3, sum_axial, sum_strand, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.sum_strand, kit.give
@@ -70,6 +75,8 @@ def make_backward(kit):
         p_strand = load_strand(w.table, b)
         p_hinge = load_hinge(w.table, b)
         p_facet = load_facet(w.table, b)
+        p_solid = load_solid(w.table, b)
+        p_viscous = load_viscous(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
@@ -99,6 +106,12 @@ def make_backward(kit):
                 if w.segment_start[b + 1] > w.segment_start[b]:
                     for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
                         back_turn(w, a, k, s, count, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            if wp.static(filled):
+                if k < count and w.cell_start[b + 1] > w.cell_start[b]:
+                    for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
+                        back_strain(w, a, k, b, c, p_solid)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             swelled = R(0.0)
@@ -161,6 +174,9 @@ def make_backward(kit):
                         sx, sv = back_pressed(w, a, k, i, swelled)
                         gx += sx
                         gv += sv
+                if wp.static(filled):
+                    if k < count:
+                        gx += resqueezed(w, a, i, 0)
                 if wp.static(hinged):
                     hx, hv, later = regained(w, a, k, i, count)
                     gx += hx
@@ -173,6 +189,8 @@ def make_backward(kit):
                     back_driven(w, a, i, frame, step, substeps, dt, share, gx, gv)
                     if wp.static(colliding):
                         a.met[i] = vec()
+                    if wp.static(easing):
+                        a.eased[i] = vec()
                 elif k == 0:
                     a.x[i] = gx
                     a.v[i] = gv
@@ -182,10 +200,38 @@ def make_backward(kit):
                         a.x[i] = gx
                         a.met[i] = gv
                         a.share[i] = gv / (R(wp.max(1, w.hits[k - 1, i])) * w.mass[i])
-                    else:
+                    if wp.static(easing):
+                        a.x[i] = gx
+                        a.v[i] = gv
+                        a.eased[i] = gv / w.mass[i]
+                    if wp.static(not colliding and not easing):
                         back_push(w, a, k - 1, i, frame, step - 1, substeps, dt, gx, gv, p_velocity, p_body, p_observer)
             round += 1
             barrier(w.counters, team, blocks, round)
+            if wp.static(easing):
+                if k > 0:
+                    for turn in range(w.rounds[b]):
+                        r = w.rounds[b] - 1 - turn
+                        for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
+                            back_drag(w, a, k - 1, r, b, c, w.ease[b, r] * dt, p_solid, p_viscous)
+                        round += 1
+                        barrier(w.counters, team, blocks, round)
+                        for i in range(lo + lane, hi, width):
+                            if w.driver[i] < 0:
+                                gained = w.eased[k - 1, r + 1, i] - w.eased[k - 1, r, i]
+                                if a.wants_mass > 0:
+                                    give(a.mass, i, -wp.dot(gained, a.eased[i]))
+                            a.x[i] = a.x[i] + resqueezed(w, a, i, 0)
+                            a.v[i] = a.v[i] + resqueezed(w, a, i, 8)
+                            if w.driver[i] < 0:
+                                a.eased[i] = a.v[i] / w.mass[i]
+                        round += 1
+                        barrier(w.counters, team, blocks, round)
+                    for i in range(lo + lane, hi, width):
+                        if w.driver[i] < 0:
+                            back_push(w, a, k - 1, i, frame, begin + k - 1, substeps, dt, a.x[i], a.v[i], p_velocity, p_body, p_observer)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
 
     return backward
 

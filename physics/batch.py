@@ -11,6 +11,7 @@ import numpy as np
 import torch
 import warp as wp
 
+from .cells import assemble_cells
 from .facets import assemble_facets
 from .hinges import assemble
 from .kernels import build
@@ -18,7 +19,7 @@ from .laws import Laws
 from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .native import WARP
 from .resident import engine_for
-from .stability import stable_substeps
+from .stability import stable_rounds, stable_substeps
 from .system import System
 
 __all__ = ["Batch", "Carried", "Inputs", "Rollout", "first_bad"]
@@ -43,6 +44,7 @@ class Batch:
     dt        seconds per substep where it is not 1 / (fps substeps) (PhysTwin: 5e-5 in 667 substeps is 33.35 ms, not 33.33)
     device    "cpu", "cuda" or "cuda:1"
     double    float64 instead of float32
+    rounds    in which a substep takes the damping of solids, for all or for each system, or "auto": what stability asks of each
     workers   CPU threads that share the systems (all cores by default; results do not depend on it)
     team      CUDA only: (blocks per system, threads per block, lanes per particle) of the general kernels, which then step the batch
     """
@@ -54,6 +56,7 @@ class Batch:
         fps: float,
         substeps: int | str | Sequence[int] = "auto",
         dt: float | Sequence[float] | None = None,
+        rounds: int | str | Sequence[int] = "auto",
         device: str = "cpu",
         double: bool = False,
         workers: int | None = None,
@@ -88,6 +91,14 @@ class Batch:
         self.columns = self.laws.columns
         self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
         self.remembering = bool(self.laws.stage("strand"))
+        self.filled, self.easing = bool(self.laws.stage("solid")), bool(self.laws.stage("viscous"))
+        if self.easing and self.colliding:
+            raise ValueError("a system can have terms of the stage 'viscous' or of the stage 'contact', got both")
+        if isinstance(rounds, str) and rounds == "auto":
+            rounds = [stable_rounds(s, dt) for s, dt in zip(systems, self.dt, strict=True)]
+        self.rounds = _each(systems, "rounds", rounds)
+        if not ((self.rounds == 1) | ((self.rounds >= 2) & (self.rounds < np.inf) & (self.rounds % 2 == 0))).all():
+            raise ValueError(f"rounds must be 1, even numbers or 'auto', got {rounds}")
         cuda = self.device.type == "cuda"
         self._device = "cpu" if not cuda else f"cuda:{self.device.index or 0}"
         self._kept: dict[bytes, torch.Tensor] = {}
@@ -151,8 +162,12 @@ class Batch:
         bent, hinged = assemble(systems, indices, x, driver, absent)
         facets, volume = assemble_facets(systems, start, count)
         self.facet_starts = facets["facet_start"]
+        cells = assemble_cells(systems, start, count, self.rounds.astype(int))
+        self.cell_starts = cells["cell_start"]
+        solid = {name: cells.pop(name) for name in ("points", "cell_volume", "half", "ease")}
         real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
-        self.constants |= {k: self._real(v) for k, v in real.items()} | {k: self._ints(v) for k, v in {**bent, **facets}.items()}
+        self.constants |= {k: self._real(v) for k, v in {**real, **solid}.items()}
+        self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
@@ -312,6 +327,8 @@ class Batch:
         kept = self.node_count * (23 if self.colliding else 14)
         if self.hinged:
             kept += 3 * len(self.inputs.directors)
+        if self.easing:
+            kept += self.node_count * 3 * (int(self.rounds.max()) + 1)
         if self.remembering:
             kept += len(self.constants["spring"]) * self.laws.memories
         return kept * self.dtype.itemsize

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from .cells import make_cells
 from .finding import lowest
 from .native import barrier
 from .paths import along, speed
@@ -75,8 +76,12 @@ def make_forward(kit):
     axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
     watching, observer = kit.watching, kit.laws.observer
     remembering, strand, evolve = kit.remembering, kit.laws.strand, kit.laws.evolve
-    load_axial, load_strand, load_hinge, load_facet, load_body, load_observer, load_velocity, load_contact, load_move = kit.load.values()
-    hinged, skinned = kit.hinged, kit.skinned
+    load = kit.load
+    load_axial, load_strand, load_hinge, load_facet, load_solid = (load[s] for s in ("axial", "strand", "hinge", "facet", "solid"))
+    load_viscous, load_body, load_observer, load_velocity = (load[s] for s in ("viscous", "body", "observer", "velocity"))
+    load_contact, load_move = load["contact"], load["move"]
+    hinged, skinned, filled, easing = kit.hinged, kit.skinned, kit.filled, kit.easing
+    strain, drag, squeezed = make_cells(kit) if filled or easing else (None, None, None)
     bulk, swollen, press, pressed = make_skin(kit) if skinned else (None, None, None, None)
     bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
     get_x, get_v, put, find, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.find, kit.sum3, kit.sum4, kit.four
@@ -149,6 +154,8 @@ def make_forward(kit):
         p_strand = load_strand(w.table, b)
         p_hinge = load_hinge(w.table, b)
         p_facet = load_facet(w.table, b)
+        p_solid = load_solid(w.table, b)
+        p_viscous = load_viscous(w.table, b)
         p_body = load_body(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
@@ -187,6 +194,13 @@ def make_forward(kit):
                         press(w, here, q, ratio, dt, p_facet)
                     round += 1
                     barrier(w.counters, team, blocks, round)
+            if wp.static(filled):
+                if w.cell_start[b + 1] > w.cell_start[b]:
+                    for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
+                        strain(w, here, b, c, p_solid)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            kept = wp.min(here, w.eased.shape[0] - 1)
             for base in range(lo, hi, width // lanes):
                 i = base + lane // lanes
                 if base > lo:
@@ -231,11 +245,16 @@ def make_forward(kit):
                     if wp.static(colliding):
                         put(w.flight, here * w.nodes + i, x, v)
                         note(w.flight, here * w.nodes + i, R(HELD_MASS))
+                    if wp.static(easing):
+                        for r in range(w.rounds[b] + 1):
+                            w.eased[kept, r, i] = v
                 else:
                     if wp.static(hinged):
                         f += bent(w, i)
                     if wp.static(skinned):
                         f += pressed(w, i)
+                    if wp.static(filled):
+                        f += squeezed(w, i)
                     f += body(x, v, w.home[i], m, p_body)
                     if wp.static(watching):
                         y, u, weight = sighted(w, i, frame, step, substeps, dt)
@@ -248,9 +267,11 @@ def make_forward(kit):
                     if wp.static(colliding):
                         put(w.flight, here * w.nodes + i, x, v)
                         note(w.flight, here * w.nodes + i, m)
-                    elif record:
-                        w.free[here, i] = v
-                    if wp.static(not colliding):
+                    if wp.static(easing):
+                        w.eased[kept, 0, i] = v
+                    if wp.static(not colliding and not easing):
+                        if record:
+                            w.free[here, i] = v
                         x2, v2 = move(x, v, dt, p_move)
                         put(w.state, there * w.nodes + i, x2, v2)
             round += 1
@@ -271,6 +292,26 @@ def make_forward(kit):
                             v = v + vec(met[0], met[1], met[2]) / (met[3] * noted_mass(w.flight, here * w.nodes + i))
                         w.met[here, i] = v
                         w.hits[here, i] = int(met[3])
+                        x2, v2 = move(get_x(w.state, here * w.nodes + i), v, dt, p_move)
+                        put(w.state, there * w.nodes + i, x2, v2)
+                round += 1
+                barrier(w.counters, team, blocks, round)
+            if wp.static(easing):
+                for r in range(w.rounds[b]):
+                    for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
+                        drag(w, here, kept, r, b, c, p_solid, p_viscous)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    for i in range(lo + lane, hi, width):
+                        if w.driver[i] < 0:
+                            w.eased[kept, r + 1, i] = w.eased[kept, r, i] + squeezed(w, i) * (w.ease[b, r] * dt / w.mass[i])
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                for i in range(lo + lane, hi, width):
+                    if w.driver[i] < 0:
+                        v = w.eased[kept, w.rounds[b], i]
+                        if record:
+                            w.free[here, i] = v
                         x2, v2 = move(get_x(w.state, here * w.nodes + i), v, dt, p_move)
                         put(w.state, there * w.nodes + i, x2, v2)
                 round += 1

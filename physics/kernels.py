@@ -86,6 +86,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
     vec, four = wp.types.vector(3, R), wp.types.vector(4, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
+    mat = wp.types.matrix((3, 3), R)
     pair = wp.types.vector(2, R)
     vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
     one = wp.types.vector(1, R)
@@ -94,6 +95,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     return SimpleNamespace(
         R=R,
         vec=vec,
+        mat=mat,
         four=four,
         vectors=vectors,
         World=World,
@@ -103,6 +105,8 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         colliding=bool(laws.stage("contact")),
         hinged=bool(laws.stage("hinge")),
         skinned=bool(laws.stage("facet")),
+        filled=bool(laws.stage("solid")),
+        easing=bool(laws.stage("viscous")),
         watching=bool(laws.stage("observer")),
         remembering=bool(laws.stage("strand")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
@@ -139,7 +143,7 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, ps, ph, pf, pe, pd, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
     pq, pair = vectors["memory"], vectors["natural"]
 
     @wp.struct
@@ -196,6 +200,17 @@ def _structs(R, vec, vectors):
         parts: wp.array2d(dtype=R)  # (B, warps) m^3, what each warp's facets add to the volume
         swelling: wp.array2d(dtype=R)  # (slots, B) volume in frame 0 over that now; kept only to go back
         face: wp.array(dtype=vec)  # (F,) N, a third of the force on each facet
+        cell_start: wp.array(dtype=wp.int32)  # (B+1,) first cell of each system
+        cell: wp.array2d(dtype=wp.int32)  # (K, 8) nodes
+        cell_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        cell_of: wp.array(dtype=wp.int32)  # 8 cell + corner
+        points: wp.array2d(dtype=vec)  # (K, 8) where cells are integrated, in halves of their size
+        cell_volume: wp.array(dtype=R)  # (K,) m^3
+        half: wp.array(dtype=vec)  # (B,) m, of a cell's size
+        rounds: wp.array(dtype=wp.int32)  # (B,) of damping in a substep
+        ease: wp.array2d(dtype=R)  # (B, rounds) share of the substep that each takes
+        squeeze: wp.array2d(dtype=vec)  # (K, 8) N, forces on the corners
+        eased: wp.array3d(dtype=vec)  # (slots kept, rounds + 1, nodes) m/s, before and after each round
         near_row: wp.array(dtype=wp.int32)  # (nodes+1,) first contact candidate
         near: wp.array(dtype=wp.int32)  # (candidates,)
         out: wp.array2d(dtype=vec)  # (frames, nodes) m, at the ends of the frames from the first on
@@ -226,6 +241,10 @@ def _structs(R, vec, vectors):
         faced_mass: wp.array(dtype=R)  # (F,) and the mass that it carries
         parts: wp.array2d(dtype=R)  # (B, warps) of the ratio of volumes
         facet: wp.array(dtype=pf)  # (F,) shares of the parameters' gradient
+        cells: wp.array2d(dtype=vec)  # (K, 16) of a cell's forces: its corners' x, their v
+        eased: wp.array(dtype=vec)  # (nodes,) of the velocity after a round, over mass; 0 at driven nodes
+        solid: wp.array(dtype=pe)  # (K,) shares of the parameters' gradient
+        viscous: wp.array(dtype=pd)
         memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
         strand: wp.array(dtype=ps)

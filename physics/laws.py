@@ -56,6 +56,9 @@ class Laws:
             evolve=_evolve(self),
             hinge=_hinge(self),
             facet=_facet(self),
+            solid=_solid(self),
+            viscous=_viscous(self),
+            lateral=_lateral(self),
             body=_body(self),
             observer=_observer(self),
             velocity=_velocity(self),
@@ -114,6 +117,61 @@ def _plus_facet(before, law, offset):
     @wp.func
     def total(area: Any, v: Any, m: Any, swell: Any, dt: Any, p: Any):
         return before(area, v, m, swell, dt, p) + law(area, v, m, swell, dt, p, offset)
+
+    return total
+
+
+def _solid(laws):
+    @wp.func
+    def total(deformed: Any, p: Any):
+        return type(deformed)()
+
+    for term, offset in laws.stage("solid"):
+        total = _plus_solid(total, term.law, offset)
+    return total
+
+
+def _plus_solid(before, law, offset):
+    @wp.func
+    def total(deformed: Any, p: Any):
+        return before(deformed, p) + law(deformed, p, offset)
+
+    return total
+
+
+def _viscous(laws):
+    @wp.func
+    def total(deformed: Any, rate: Any, p: Any):
+        return type(deformed)()
+
+    for term, offset in laws.stage("viscous"):
+        total = _plus_viscous(total, term.law, offset)
+    return total
+
+
+def _plus_viscous(before, law, offset):
+    @wp.func
+    def total(deformed: Any, rate: Any, p: Any):
+        return before(deformed, rate, p) + law(deformed, rate, p, offset)
+
+    return total
+
+
+def _lateral(laws):
+    @wp.func
+    def total(p: Any):
+        return p[0] - p[0]
+
+    for term, offset in laws.stage("solid"):
+        if term.lateral is not None:
+            total = _plus_lateral(total, term.lateral, offset)
+    return total
+
+
+def _plus_lateral(before, law, offset):
+    @wp.func
+    def total(p: Any):
+        return before(p) + law(p, offset)
 
     return total
 

@@ -81,7 +81,7 @@ class Carrier:
     def array(kernels, name, tensor):
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {"directors", "bent", "turned", "face", "faced"}
+        vectors |= {"directors", "bent", "turned", "face", "faced", "points", "half", "squeeze", "eased", "cells"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
         dtype = wp.int32 if tensor.dtype == torch.int32 else kind
         if tensor.numel():
@@ -115,6 +115,7 @@ class World(Carrier):
         self.memories = memories
         kept = slots if slots > 2 else 1
         met = slots if batch.colliding else 1
+        rounds = batch.constants["ease"].shape[1]
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
         near_row, near = near or (counters, counters)
         if batch.arrays is None:  # wrapping takes as long as a small launch, and these never change
@@ -131,6 +132,7 @@ class World(Carrier):
                 **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(1 if batch.colliding else kept, n, 3), flight=empty((slots if batch.colliding else 0) * n * 8)),
                 **dict(met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
+                **dict(squeeze=empty(batch.cell_starts[-1], 8, 3), eased=empty(kept, rounds + 1, n if batch.easing else 0, 3)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
         )
@@ -164,7 +166,8 @@ class Adjoint(Carrier):
             return torch.zeros((count, *width), dtype=batch.dtype, device=batch.device)
 
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
-        counts = {"hinge": hinges, "facet": batch.facet_starts[-1]}
+        cells = batch.cell_starts[-1]
+        counts = {"hinge": hinges, "facet": batch.facet_starts[-1], "solid": cells, "viscous": cells}
         stages = {s: zeros(batch.laws.width(s), count=counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure")}
         rods = dict(bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2))
@@ -181,6 +184,7 @@ class Adjoint(Carrier):
                 **inputs,
                 **rods,
                 **faced,
+                **dict(cells=zeros(16, 3, count=cells), eased=zeros(3)),
             ),
         )
         for name in ("rest", "mass", "table"):
@@ -193,11 +197,12 @@ class Adjoint(Carrier):
         def by_system(shares, starts):
             return torch.stack([shares[a:b].sum(0) for a, b in pairwise(starts)])
 
-        nodal = [s for s in (*STAGED, "links") if s not in ("hinge", "facet")]
+        nodal = [s for s in (*STAGED, "links") if s not in ("hinge", "facet", "solid", "viscous")]
         shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
         parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
+        parts |= {s: by_system(t[s], batch.cell_starts) for s in ("solid", "viscous")}
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
         for stage, part in parts.items():
             first = batch.laws.start(stage)

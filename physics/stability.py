@@ -8,9 +8,15 @@ import numpy as np
 
 from .facets import enclosed
 from .hinges import FOLD
+from .solids import internal_forces
 from .system import System
 
-__all__ = ["stable_step", "stable_substeps"]
+__all__ = ["stable_rounds", "stable_step", "stable_substeps"]
+
+
+POWERS = 60  # iterations for a largest eigenvalue; what is still missing then is in the margin
+POWER_MARGIN = 1.1
+MOST_ROUNDS = 20  # of damping: more would let rounding errors of float32 grow
 
 
 def stable_step(system: System) -> float:
@@ -31,6 +37,8 @@ def stable_step(system: System) -> float:
     larger by 1 / cos^2(a / 2), and that of twist is |kb| / (2 l). What a bent hinge's moment adds by turning (M times the second
     derivative of kappa) is not in it: it is none in the natural shape.
 
+    A solid adds the largest eigenvalue of its cells' stiffness at rest, found by power iteration.
+
     A pressure k (V0 / V - 1) adds k V0 / V^2 g_i g_j' with the volume's gradient g_i, a third of the area vectors around a node.
     """
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
@@ -48,7 +56,7 @@ def stable_step(system: System) -> float:
     inside = np.flatnonzero(free)
     if not len(inside):
         return math.inf
-    lam = float((stiffness[inside] / system.masses[inside]).max())
+    lam = float((stiffness[inside] / system.masses[inside]).max()) + _fastest(system, free, "solid")
     mu = float((damping[inside] / system.masses[inside]).max())
 
     def limit(times):
@@ -60,6 +68,56 @@ def stable_step(system: System) -> float:
         return limit(1.0)
     # the branch relaxes less in the substep that it leaves than in a longer one, so this does not overestimate either
     return limit(1 + branch * (1 + math.tanh(limit(1 + branch) / (2 * system.values["relaxation_time"]))))
+
+
+def _fastest(system, free, stage):
+    """Largest eigenvalue [1/s^2 or 1/s] of the free nodes' stiffness or damping over mass, by the cells' terms of a stage ("solid" or
+    "viscous"), in the shape in which the system starts.
+    """
+    terms = [t for t in system.terms if t.stage == stage]
+    if not terms or system.grid is None:
+        return 0.0
+    x, free = system.positions, free[: system.particle_count]
+    lateral = sum(t.values["poisson"] / (1 - t.values["poisson"]) for t in system.terms if t.lateral is not None)
+    nowhere = np.zeros_like(x)
+    motion = np.where(free[:, None], np.random.default_rng(0).normal(size=x.shape), 0.0)
+    root = np.sqrt(system.masses)[:, None]
+
+    def law(deformed, rate):
+        return sum(t.twin(*((deformed, rate) if stage == "viscous" else (deformed,)), **t.values) for t in terms)
+
+    step, found = 1e-6 * system.grid.size.min(), 0.0
+    for _ in range(POWERS):
+        motion /= np.linalg.norm(motion)
+        way = motion / root
+        if stage == "viscous":
+            force = internal_forces(system.grid, x, way, law, lateral=lateral)
+        else:
+            small = step / np.abs(way).max()
+            ahead, behind = (internal_forces(system.grid, x + s * small * way, nowhere, law, lateral=lateral) for s in (1, -1))
+            force = (ahead - behind) / (2 * small)
+        motion = np.where(free[:, None], -force / root, 0.0)
+        found = float(np.linalg.norm(motion))
+        if not found:
+            break
+    return POWER_MARGIN * found
+
+
+def stable_rounds(system: System, dt: float) -> int:
+    """In how many rounds a substep of ``dt`` seconds can take the damping of a solid (``physics.cells``): 1 where it has none.
+
+    Raises ValueError where that is more than ``MOST_ROUNDS``.
+    """
+    from .cells import reach
+
+    free = np.ones(system.particle_count + system.controllers.shape[1], bool)
+    free[system.grips[system.grips >= 0]] = False
+    single = dt * _fastest(system, free, "viscous") / 2  # how many of the longest single steps
+    rounds = next((n for n in (1, *range(2, MOST_ROUNDS + 1, 2)) if reach(n) >= single), None)
+    if rounds is None:
+        where = f" (system {system.name})" if system.name else ""
+        raise ValueError(f"damping asks for more than {MOST_ROUNDS} rounds in a substep of {dt:.3g} s: take shorter ones{where}")
+    return rounds
 
 
 def _hinge_rows(system, free):

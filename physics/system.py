@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datasets.collection import nearest
+from .grids import Grid
 from .hinges import Ropes
 from .terms.base import STAGES, Term
 
@@ -34,6 +35,7 @@ class System:
     flexure      (H,) stiffness relative to the terms'; 1 unless given
     chains       arrays of nodes in order, each a rope, or a ring where the last is the first: hinges along them twist as well
     facets       (F, 3) int: particles at the corners of the skin's triangles, anticlockwise from outside; only facet terms read them
+    grid         the cells of a solid whose nodes the particles are (``physics.grids``); only solid and viscous terms read it
     seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
     """
@@ -53,6 +55,7 @@ class System:
     flexure: np.ndarray | None = None
     chains: tuple[np.ndarray, ...] = ()
     facets: np.ndarray | None = None
+    grid: Grid | None = None
     home: np.ndarray | None = None
     seen: np.ndarray | None = None
     sight: np.ndarray | None = None
@@ -118,6 +121,8 @@ class System:
         refuse(outside, lambda f: f"facets must join particles 0 to {count - 1}, got {self.facets[f].tolist()} at facet {f}")
         flat = (np.diff(np.sort(self.facets, axis=1), axis=1) == 0).any(1)
         refuse(flat, lambda f: f"facets must have three different corners, got {self.facets[f].tolist()} at facet {f}")
+        if self.grid is not None and len(self.grid.positions) != count:
+            raise ValueError(f"the grid's nodes must be the particles: got {len(self.grid.positions)} nodes and {count} particles")
         if self.seen is not None:
             self._own_sightings(count)
 

@@ -9,9 +9,10 @@ import torch
 
 from ...physics.batch import Batch, Inputs
 from ...physics.facets import solid_facets
+from ...physics.grids import embed
 from ...physics.hinges import natural_curvature
 from ...physics.system import System
-from ...physics.terms import Bending, ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, Springs
+from ...physics.terms import Bending, ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, NeoHookean, Springs
 from ...physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .checking import Skipped, require
 
@@ -27,6 +28,7 @@ __all__ = [
     "loss",
     "make",
     "of_every_parameter",
+    "solid",
     "some",
 ]
 
@@ -47,6 +49,7 @@ VALUES = dict(
     brace_share=0.7,
     told_gravity_x=1.0,
     told_gravity_z=-9.8,
+    viscosity=40.0,
 )
 READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
 REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035
@@ -54,7 +57,10 @@ REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others
 
 def of_every_parameter(term) -> None:
     """Raises AssertionError unless the gradient of a roll-out in each parameter of ``term`` is what differences say."""
-    batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
+    if term.stage in ("solid", "viscous"):
+        batch = Batch([solid(term, seed) for seed in (0, 1)], fps=30, substeps=2 * SUBSTEPS, double=True, workers=1)
+    else:
+        batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
     inputs = leaves(batch)
     loss(batch, inputs).backward()
     columns = [batch.column(p.name) for p in term.parameters]
@@ -69,6 +75,26 @@ def kinds_with(term):
     rivals = {t for t in AIR if t.stage == term.stage and t.stage in ("move", "contact")}
     readers = [READ_BY[term.name]] if term.name in READ_BY else []
     return AIR if term in AIR else (*(t for t in AIR if t not in rivals), *readers, term)
+
+
+def solid(term, seed=0):
+    """Cells of foam that a hand holds at one end and that fall and wobble, with ``term`` at some of each of its parameters."""
+    rng = np.random.default_rng(seed)
+    samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.004 for n in (12, 6, 5)], indexing="ij"), -1).reshape(-1, 3)
+    grid = embed(samples, 0.048 * 0.024 * 0.02, 0.02, offset=rng.random(3))
+    held = np.flatnonzero(grid.positions[:, 0] < grid.positions[:, 0].min() + 0.01)
+    kinds = dict.fromkeys((Gravity, NeoHookean, term))
+    return System(
+        positions=grid.positions + rng.normal(size=grid.positions.shape) * 2e-4,
+        velocities=rng.normal(size=grid.positions.shape) * 0.1,
+        masses=grid.masses(100.0),
+        springs=np.zeros((0, 2), int),
+        stiffness=[],
+        controllers=grid.positions[held] + np.linspace(0, 0.01, FRAMES)[:, None, None],
+        grips=held,
+        grid=grid,
+        terms=[k({p.name: VALUES.get(p.name, p.decode(0.4)) for p in k.parameters} if k is term and k is not NeoHookean else {}) for k in kinds],
+    )
 
 
 def make(kinds, *, grip=True, count=PARTICLES, seed=0):

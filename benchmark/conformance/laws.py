@@ -24,7 +24,8 @@ def agree(term: type[Term]) -> None:
     expected = [np.array(part) for part in zip(*twins, strict=True)] if term.stage == "move" else [np.array(twins)]
     for a, b in zip(found, expected, strict=True):
         # a dozen operations in float64; a slow impact at t* = -h / v_n is far away and cancels, so relative to the way there: 1e4 m
-        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-11 if term.stage == "move" else 1e-13)
+        least = {"move": 1e-11, "solid": 1e-13 * np.abs(b).max(), "viscous": 1e-13 * np.abs(b).max()}  # of stresses, that of the largest
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=least.get(term.stage, 1e-13))
     if term.stage in ("move", "contact"):  # laws with a condition: both sides of it were seen
         usual = inputs[1] if term.stage == "move" else 0.0
         share = (np.abs(found[-1] - usual) > 1e-9).any(1).mean()
@@ -50,7 +51,7 @@ def _kernel_of(term, stage):
     """A kernel that evaluates the term's law at ``stage``, or its "evolve", in float64, sample by sample."""
     R, V, P, law = wp.float64, wp.vec3d, wp.types.vector(OFFSET + max(1, len(term.parameters)), wp.float64), term.law
     after = term.evolve
-    S, A, Ps = wp.array(dtype=R), wp.array(dtype=V), wp.array(dtype=P)
+    S, A, M, Ps = wp.array(dtype=R), wp.array(dtype=V), wp.array(dtype=wp.mat33d), wp.array(dtype=P)
 
     def axial(a: S, b: S, c: S, d: S, p: Ps, out: S):
         i = wp.tid()
@@ -63,6 +64,14 @@ def _kernel_of(term, stage):
     def facet(a: A, b: A, c: S, d: S, e: S, p: Ps, out: A):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], e[i], p[i], wp.static(OFFSET))
+
+    def solid(a: M, p: Ps, out: M):
+        i = wp.tid()
+        out[i] = law(a[i], p[i], wp.static(OFFSET))
+
+    def viscous(a: M, b: M, p: Ps, out: M):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], p[i], wp.static(OFFSET))
 
     def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
         i = wp.tid()
@@ -94,7 +103,7 @@ def _kernel_of(term, stage):
         out[i] = x
         out2[i] = v
 
-    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, facet=facet, body=body)
+    stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, facet=facet, solid=solid, viscous=viscous, body=body)
     stages |= dict(observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[stage], module="unique", enable_backward=False), P
 
@@ -104,10 +113,11 @@ def evaluate(term, stage, inputs, parameters):
     kernel, P = _kernel_of(term, stage)
     padded = np.full((SAMPLES, P._length_), np.nan)  # a law that reads another term's parameters gives NaN
     padded[:, OFFSET : OFFSET + parameters.shape[1]] = parameters
-    arrays = [wp.array(a, dtype=wp.float64 if a.ndim == 1 else wp.vec3d, device="cpu") for a in inputs]
-    scalar = stage in ("axial", "strand", "evolve")
-    shape = (SAMPLES,) if scalar else (SAMPLES, 3)
-    dtype = wp.float64 if scalar else wp.vec3d
+    types = {1: wp.float64, 2: wp.vec3d, 3: wp.mat33d}
+    arrays = [wp.array(a, dtype=types[a.ndim], device="cpu") for a in inputs]
+    scalar, matrix = stage in ("axial", "strand", "evolve"), stage in ("solid", "viscous")
+    shape = (SAMPLES, *(3,) * (0 if scalar else 2 if matrix else 1))
+    dtype = types[len(shape)]
     out = [wp.zeros(SAMPLES, dtype=dtype, device="cpu") for _ in range(2 if stage == "move" else 1)]
     wp.launch(kernel, dim=SAMPLES, inputs=[*arrays, wp.array(padded, dtype=P, device="cpu")], outputs=out, device="cpu")
     return [o.numpy().reshape(shape) for o in out]
@@ -123,6 +133,9 @@ def random_inputs(stage, rng):
         return [x[0], x[0] + 0.2 * x[1], *v, *positive[:2]]
     if stage == "hinge":
         return [x[0], v[0], x[1] * [1.0, 1.0, 0.0], 0.1 * positive[0]]
+    if stage in ("solid", "viscous"):  # stretched, crushed and sheared, and not turned inside out
+        deformed = np.eye(3) + rng.uniform(-0.25, 0.25, (SAMPLES, 3, 3))
+        return [deformed, rng.normal(size=(SAMPLES, 3, 3))][: 1 + (stage == "viscous")]
     if stage == "facet":
         return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
     if stage in ("body", "observer"):

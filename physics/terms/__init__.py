@@ -23,7 +23,9 @@ from .ground_pose import GroundPose
 from .hidden_obstacle import HiddenObstacle
 from .hidden_tether import HiddenTether
 from .internal_friction import InternalFriction
+from .kelvin_voigt import KelvinVoigt
 from .linear_drag import LinearDrag
+from .neo_hookean import NeoHookean
 from .observer import Observer
 from .plasticity import Plasticity
 from .plate_drag import PlateDrag
@@ -66,7 +68,9 @@ __all__ = [
     "HiddenObstacle",
     "HiddenTether",
     "InternalFriction",
+    "KelvinVoigt",
     "LinearDrag",
+    "NeoHookean",
     "Observer",
     "Plasticity",
     "PlateDrag",

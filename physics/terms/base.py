@@ -8,6 +8,8 @@ stage       law                                                      returns
 "strand"    (length, rate, rest, stiffness, link, middle, t, q, p, o) tension along a spring that remembers q [N]
 "hinge"     (kappa, rate, natural, span, p, o)                       moment of a hinge [N m], the work per change of kappa
 "facet"     (area, v, m, swell, dt, p, o)                            force on a facet [N], which its three corners share
+"solid"     (deformed, p, o)                                         first Piola-Kirchhoff stress of a solid [Pa]
+"viscous"   (deformed, rate, p, o)                                   the same [Pa], linear in the deformation's rate
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
 "observer"  (x, v, home, y, u, m, p, o)                              force on one particle that was seen at y [m], moving with u [m/s]
 "velocity"  (v, dt, p, o)                                            velocity after the stage [m/s]
@@ -30,10 +32,15 @@ rate [1/s] is theirs, natural (n1, n2, 0) the wanted curvature, span [m] the len
 A facet is three particles; area [m^2] is its area vector, outward where the skin is closed, v [m/s] its mean velocity, m [kg] the mass
 that it carries, and swell what the skin enclosed in frame 0 over what it encloses now: 1 where it is open. See ``physics.skin``.
 
+A solid is a grid of cells (``physics.grids``); deformed is the deformation gradient F (3, 3) from the grid's axes to the room, rate [1/s]
+its rate. A solid term may declare ``lateral`` (p, o): how much thinner a plate of it becomes than it is stretched in both directions, nu /
+(1 - nu), which bending asks of cells. Viscous stresses act on velocities after the "velocity" stage, in rounds. See ``physics.cells``.
+
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, facet, body and observer terms, then v <- velocity(v + dt F / m), then contacts, then move.
+Forces are summed over axial, strand, hinge, facet, solid, body and observer terms, then v <- velocity(v + dt F / m), then damping in rounds
+or contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -44,14 +51,16 @@ from ..parameters import Parameter
 
 __all__ = ["ARGUMENTS", "STAGED", "STAGES", "Effect", "Term"]
 
-STAGES = ("axial", "strand", "hinge", "facet", "body", "observer", "velocity", "contact", "move", "links", "setup")
-STAGED = STAGES[:9]  # whose laws are in the kernels
+STAGES = ("axial", "strand", "hinge", "facet", "solid", "viscous", "body", "observer", "velocity", "contact", "move", "links", "setup")
+STAGED = STAGES[:11]  # whose laws are in the kernels
 # what a law is given, before p and o; its numpy twin is given the same, and then the parameters
 ARGUMENTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
     "strand": ("length", "rate", "rest", "stiffness", "link", "middle", "t", "q"),
     "hinge": ("kappa", "rate", "natural", "span"),
     "facet": ("area", "v", "m", "swell", "dt"),
+    "solid": ("deformed",),
+    "viscous": ("deformed", "rate"),
     "body": ("x", "v", "home", "m"),
     "observer": ("x", "v", "home", "y", "u", "m"),
     "velocity": ("v", "dt"),
@@ -98,6 +107,7 @@ class Term:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     law: ClassVar = None
     evolve: ClassVar = None
+    lateral: ClassVar = None
     effect: ClassVar[Effect | None] = None
 
     def __post_init__(self):

@@ -1,0 +1,501 @@
+"""The cells of solids in the kernels: their forces on nodes, damping in rounds, and the adjoint of both. What they compute: ``solids``.
+
+A motion m of the corners changes the deformation gradient F = F_0 (1 + A(q)), q = F_0^-1 g, by
+
+    D(m) = M_0 (1 + A(q)) + F_0 A(F_0^-1 (m - M_0 q)),    M_0 and m as F_0 and g of the motion,
+
+so that F's rate is D(v), and the forces f on the corners are such that f . m = -sum_p w_p P_p : D_p(m) for every m. The adjoint of a
+force is a motion, too: all that a cell adds on the way back is the derivative of sum_p w_p P_p(F, D(v)) : D(m) by x and v.
+
+Damping is linear in the velocities, and stiffer than what it damps: f_v = -C(x) v with dt |C| / m far above 2. A substep takes it in rounds
+v <- v + (share_r dt / m) f_v at the same positions. Shares at the roots of Chebyshev's polynomial are stable far beyond single steps (super
+time stepping; Alexiades, Amiez and Gremaud 1996). Two equal passes make of their polynomial its square: a velocity that came out of damping
+with its sign turned would make the elastic force push outwards.
+"""
+
+import numpy as np
+import warp as wp
+
+from .hinges import incidence
+
+__all__ = ["EASE", "assemble_cells", "ease", "make_back_cells", "make_cells", "reach"]
+
+EASE = 0.01  # nu of Alexiades et al.: every mode shrinks by this in a round, so that errors in the largest eigenvalue are forgiven
+
+
+def _steps(rounds):
+    """(rounds,) steps of one pass, in units of the longest single one; long and short by turns, so that rounding errors stay small."""
+    k = np.arange(1, rounds + 1)
+    steps = 1 / ((EASE - 1) * np.cos((2 * k - 1) / rounds * np.pi / 2) + 1 + EASE)
+    return steps[np.argsort(np.minimum(k, rounds + 1 - k) * 2 + (k * 2 > rounds), kind="stable")]
+
+
+def ease(rounds: int) -> np.ndarray:
+    """(rounds,) shares of a substep, which sum to 1: one, or an even number."""
+    if rounds == 1:
+        return np.ones(1)
+    half = _steps(rounds // 2)
+    return np.tile(half / half.sum(), 2) / 2
+
+
+def reach(rounds: int) -> float:
+    """How many times the longest single step, 2 / rate, a substep of so many rounds may be."""
+    return 0.5 if rounds == 1 else float(2 * _steps(rounds // 2).sum())
+
+
+def cell_functions(kit):
+    """(gather, bent, spread): what both ways share."""
+    R, vec, mat = kit.R, kit.vec, kit.mat
+
+    @wp.func
+    def bent(q1: vec, q2: vec, q3: vec, q4: vec, at: vec, half: vec, lateral: R):
+        """A(q) at a point of the cell."""
+        x = at[0]
+        y = at[1]
+        z = at[2]
+        a = half[0]
+        b = half[1]
+        c = half[2]
+        return mat(
+            (q2[0] * z + q3[0] * y + q4[0] * y * z) / a - lateral * x * (q3[1] / b + q2[2] / c),
+            q1[0] * z / b,
+            q1[0] * y / c,
+            q2[1] * z / a,
+            (q1[1] * z + q3[1] * x + q4[1] * z * x) / b - lateral * y * (q3[0] / a + q1[2] / c),
+            q2[1] * x / c,
+            q3[2] * y / a,
+            q3[2] * x / b,
+            (q1[2] * y + q2[2] * x + q4[2] * x * y) / c - lateral * z * (q2[0] / a + q1[1] / b),
+        )
+
+    @wp.func
+    def unbent(t: mat, at: vec, half: vec, lateral: R):
+        """The transpose of ``bent``: what T : A(q) is per unit of q_1 to q_4, as columns."""
+        x = at[0]
+        y = at[1]
+        z = at[2]
+        a = half[0]
+        b = half[1]
+        c = half[2]
+        d1 = t[0, 0] / a
+        d2 = t[1, 1] / b
+        d3 = t[2, 2] / c
+        q1 = vec(t[0, 1] * z / b + t[0, 2] * y / c, d2 * z - lateral * z * t[2, 2] / b, d3 * y - lateral * y * t[1, 1] / c)
+        q2 = vec(d1 * z - lateral * z * t[2, 2] / a, t[1, 0] * z / a + t[1, 2] * x / c, d3 * x - lateral * x * t[0, 0] / c)
+        q3 = vec(d1 * y - lateral * y * t[1, 1] / a, d2 * x - lateral * x * t[0, 0] / b, t[2, 0] * y / a + t[2, 1] * x / b)
+        return q1, q2, q3, vec(d1 * y * z, d2 * z * x, d3 * x * y)
+
+    @wp.func
+    def sign(a: int, j: int):
+        """The sign of corner ``a`` along axis ``j``: corners count in binary, the last axis fastest."""
+        return R((a >> (2 - j)) % 2 * 2 - 1)
+
+    @wp.func
+    def moments(x0: vec, x1: vec, x2: vec, x3: vec, x4: vec, x5: vec, x6: vec, x7: vec, half: vec):
+        """(F_0, g_1 to g_4) of corners."""
+        e = R(0.125)
+        s1 = (x4 + x5 + x6 + x7 - x0 - x1 - x2 - x3) * (e / half[0])
+        s2 = (x2 + x3 + x6 + x7 - x0 - x1 - x4 - x5) * (e / half[1])
+        s3 = (x1 + x3 + x5 + x7 - x0 - x2 - x4 - x6) * (e / half[2])
+        g1 = (x0 + x3 + x4 + x7 - x1 - x2 - x5 - x6) * e
+        g2 = (x0 + x2 + x5 + x7 - x1 - x3 - x4 - x6) * e
+        g3 = (x0 + x1 + x6 + x7 - x2 - x3 - x4 - x5) * e
+        g4 = (x1 + x2 + x4 + x7 - x0 - x3 - x5 - x6) * e
+        return mat(s1[0], s2[0], s3[0], s1[1], s2[1], s3[1], s1[2], s2[2], s3[2]), g1, g2, g3, g4
+
+    @wp.func
+    def spread(a: int, first: mat, g1: vec, g2: vec, g3: vec, g4: vec, half: vec):
+        """What corner ``a`` gets of adjoints of F_0 and g: the transpose of ``moments``."""
+        s = sign(a, 0)
+        t = sign(a, 1)
+        u = sign(a, 2)
+        along = first * vec(s / half[0], t / half[1], u / half[2])
+        return (along + g1 * (t * u) + g2 * (u * s) + g3 * (s * t) + g4 * (s * t * u)) * R(0.125)
+
+    return bent, unbent, moments, spread
+
+
+def make_cells(kit):
+    """(strain, drag, squeezed): a cell's elastic and damping forces on its corners, and what a node gets of them."""
+    R, vec, mat, World = kit.R, kit.vec, kit.mat, kit.World
+    ps, pv, get_x = kit.vectors["solid"], kit.vectors["viscous"], kit.get_x
+    solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
+    bent, unbent, moments, spread = cell_functions(kit)
+
+    @wp.func
+    def leave(
+        w: World, c: int, inverse: mat, q1: vec, q2: vec, q3: vec, q4: vec, first: mat, t1: vec, t2: vec, t3: vec, t4: vec, half: vec
+    ):
+        """Leave the forces on the corners of cell ``c`` that adjoints of F_0 and q stand for."""
+        back = wp.transpose(inverse)
+        g1 = back * t1
+        g2 = back * t2
+        g3 = back * t3
+        g4 = back * t4
+        whole = first - wp.outer(g1, q1) - wp.outer(g2, q2) - wp.outer(g3, q3) - wp.outer(g4, q4)
+        for a in range(8):
+            w.squeeze[c, a] = -spread(a, whole, g1, g2, g3, g4, half)
+
+    @wp.func
+    def strain(w: World, slot: int, b: int, c: int, p: ps):
+        """Leave the elastic forces of cell ``c`` on its corners."""
+        at = slot * w.nodes
+        half = w.half[b]
+        first, g1, g2, g3, g4 = moments(
+            get_x(w.state, at + w.cell[c, 0]),
+            get_x(w.state, at + w.cell[c, 1]),
+            get_x(w.state, at + w.cell[c, 2]),
+            get_x(w.state, at + w.cell[c, 3]),
+            get_x(w.state, at + w.cell[c, 4]),
+            get_x(w.state, at + w.cell[c, 5]),
+            get_x(w.state, at + w.cell[c, 6]),
+            get_x(w.state, at + w.cell[c, 7]),
+            half,
+        )
+        inverse = wp.inverse(first)
+        q1 = inverse * g1
+        q2 = inverse * g2
+        q3 = inverse * g3
+        q4 = inverse * g4
+        lateral = contraction(p)
+        weight = w.cell_volume[c] * R(0.125)
+        on_first = mat()
+        t1 = vec()
+        t2 = vec()
+        t3 = vec()
+        t4 = vec()
+        for k in range(8):
+            point = w.points[c, k]
+            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+            stress = solid(first * whole, p) * weight
+            on_first += stress * wp.transpose(whole)
+            u1, u2, u3, u4 = unbent(wp.transpose(first) * stress, point, half, lateral)
+            t1 += u1
+            t2 += u2
+            t3 += u3
+            t4 += u4
+        leave(w, c, inverse, q1, q2, q3, q4, on_first, t1, t2, t3, t4, half)
+
+    @wp.func
+    def drag(w: World, slot: int, row: int, r: int, b: int, c: int, p: ps, p_viscous: pv):
+        """Leave the damping forces of cell ``c`` on its corners, at the velocities before round ``r``."""
+        at = slot * w.nodes
+        half = w.half[b]
+        first, g1, g2, g3, g4 = moments(
+            get_x(w.state, at + w.cell[c, 0]),
+            get_x(w.state, at + w.cell[c, 1]),
+            get_x(w.state, at + w.cell[c, 2]),
+            get_x(w.state, at + w.cell[c, 3]),
+            get_x(w.state, at + w.cell[c, 4]),
+            get_x(w.state, at + w.cell[c, 5]),
+            get_x(w.state, at + w.cell[c, 6]),
+            get_x(w.state, at + w.cell[c, 7]),
+            half,
+        )
+        moved, m1, m2, m3, m4 = moments(
+            w.eased[row, r, w.cell[c, 0]],
+            w.eased[row, r, w.cell[c, 1]],
+            w.eased[row, r, w.cell[c, 2]],
+            w.eased[row, r, w.cell[c, 3]],
+            w.eased[row, r, w.cell[c, 4]],
+            w.eased[row, r, w.cell[c, 5]],
+            w.eased[row, r, w.cell[c, 6]],
+            w.eased[row, r, w.cell[c, 7]],
+            half,
+        )
+        inverse = wp.inverse(first)
+        q1 = inverse * g1
+        q2 = inverse * g2
+        q3 = inverse * g3
+        q4 = inverse * g4
+        n1 = inverse * (m1 - moved * q1)
+        n2 = inverse * (m2 - moved * q2)
+        n3 = inverse * (m3 - moved * q3)
+        n4 = inverse * (m4 - moved * q4)
+        lateral = contraction(p)
+        weight = w.cell_volume[c] * R(0.125)
+        on_first = mat()
+        t1 = vec()
+        t2 = vec()
+        t3 = vec()
+        t4 = vec()
+        for k in range(8):
+            point = w.points[c, k]
+            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+            rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
+            stress = viscous(first * whole, rate, p_viscous) * weight
+            on_first += stress * wp.transpose(whole)
+            u1, u2, u3, u4 = unbent(wp.transpose(first) * stress, point, half, lateral)
+            t1 += u1
+            t2 += u2
+            t3 += u3
+            t4 += u4
+        leave(w, c, inverse, q1, q2, q3, q4, on_first, t1, t2, t3, t4, half)
+
+    @wp.func
+    def squeezed(w: World, i: int):
+        """Force on node ``i`` by the cells around it."""
+        force = vec()
+        for e in range(w.cell_row[i], w.cell_row[i + 1]):
+            force += w.squeeze[w.cell_of[e] // 8, w.cell_of[e] % 8]
+        return force
+
+    return strain, drag, squeezed
+
+
+def make_back_cells(kit):
+    """(back_strain, back_drag, resqueezed): the adjoints of a cell's elastic and damping forces, and what a node gets of them."""
+    R, vec, mat, World, Adjoint = kit.R, kit.vec, kit.mat, kit.World, kit.Adjoint
+    ps, pv, get_x = kit.vectors["solid"], kit.vectors["viscous"], kit.get_x
+    solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
+    give_solid, give_viscous = kit.give_all["solid"], kit.give_all["viscous"]
+    bent, _unbent, moments, spread = cell_functions(kit)
+
+    @wp.func
+    def solid_dot(f: mat, p: ps, d: mat):
+        return wp.ddot(solid(f, p), d)
+
+    @wp.func
+    def viscous_dot(f: mat, rate: mat, p: pv, d: mat):
+        return wp.ddot(viscous(f, rate, p), d)
+
+    @wp.func
+    def lateral_of(p: ps):
+        return contraction(p)
+
+    @wp.func
+    def kinematics_dot(
+        first: mat,
+        g1: vec,
+        g2: vec,
+        g3: vec,
+        g4: vec,
+        moved: mat,
+        m1: vec,
+        m2: vec,
+        m3: vec,
+        m4: vec,
+        tried: mat,
+        d1: vec,
+        d2: vec,
+        d3: vec,
+        d4: vec,
+        point: vec,
+        half: vec,
+        lateral: R,
+        on_f: mat,
+        on_rate: mat,
+        on_d: mat,
+    ):
+        inverse = wp.inverse(first)
+        q1 = inverse * g1
+        q2 = inverse * g2
+        q3 = inverse * g3
+        q4 = inverse * g4
+        whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+        n1 = inverse * (m1 - moved * q1)
+        n2 = inverse * (m2 - moved * q2)
+        n3 = inverse * (m3 - moved * q3)
+        n4 = inverse * (m4 - moved * q4)
+        e1 = inverse * (d1 - tried * q1)
+        e2 = inverse * (d2 - tried * q2)
+        e3 = inverse * (d3 - tried * q3)
+        e4 = inverse * (d4 - tried * q4)
+        rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
+        d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
+        return wp.ddot(first * whole, on_f) + wp.ddot(rate, on_rate) + wp.ddot(d, on_d)
+
+    @wp.func
+    def corners_of(w: World, slot: int, c: int, half: vec):
+        at = slot * w.nodes
+        f, g1, g2, g3, g4 = moments(
+            get_x(w.state, at + w.cell[c, 0]),
+            get_x(w.state, at + w.cell[c, 1]),
+            get_x(w.state, at + w.cell[c, 2]),
+            get_x(w.state, at + w.cell[c, 3]),
+            get_x(w.state, at + w.cell[c, 4]),
+            get_x(w.state, at + w.cell[c, 5]),
+            get_x(w.state, at + w.cell[c, 6]),
+            get_x(w.state, at + w.cell[c, 7]),
+            half,
+        )
+        return f, g1, g2, g3, g4
+
+    @wp.func
+    def back_strain(w: World, a: Adjoint, slot: int, b: int, c: int, p: ps):
+        """Leave the adjoint of the elastic forces of cell ``c`` at its corners."""
+        narrowing = wp.grad(lateral_of)(p)  # first: see ``backward`` on the order
+        half = w.half[b]
+        first, g1, g2, g3, g4 = corners_of(w, slot, c, half)
+        tried, d1, d2, d3, d4 = moments(
+            a.force[slot % 2, w.cell[c, 0]],
+            a.force[slot % 2, w.cell[c, 1]],
+            a.force[slot % 2, w.cell[c, 2]],
+            a.force[slot % 2, w.cell[c, 3]],
+            a.force[slot % 2, w.cell[c, 4]],
+            a.force[slot % 2, w.cell[c, 5]],
+            a.force[slot % 2, w.cell[c, 6]],
+            a.force[slot % 2, w.cell[c, 7]],
+            half,
+        )
+        inverse = wp.inverse(first)
+        q1 = inverse * g1
+        q2 = inverse * g2
+        q3 = inverse * g3
+        q4 = inverse * g4
+        e1 = inverse * (d1 - tried * q1)
+        e2 = inverse * (d2 - tried * q2)
+        e3 = inverse * (d3 - tried * q3)
+        e4 = inverse * (d4 - tried * q4)
+        lateral = contraction(p)
+        weight = -w.cell_volume[c] * R(0.125)
+        on_first = mat()
+        b1 = vec()
+        b2 = vec()
+        b3 = vec()
+        b4 = vec()
+        on_lateral = R(0.0)
+        gp = ps()
+        none = mat()
+        zero = vec()
+        for k in range(8):
+            point = w.points[c, k]
+            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+            f = first * whole
+            d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
+            hf, hp, stress = wp.grad(solid_dot)(f, p, d)
+            of, h1, h2, h3, h4, _m, _m1, _m2, _m3, _m4, _t, _d1, _d2, _d3, _d4, _pt, _h, hl, _f, _r, _d = wp.grad(kinematics_dot)(
+                first, g1, g2, g3, g4, none, zero, zero, zero, zero, tried, d1, d2, d3, d4, point, half, lateral, hf, none, stress
+            )
+            on_first += of
+            b1 += h1
+            b2 += h2
+            b3 += h3
+            b4 += h4
+            on_lateral += hl
+            gp += hp
+        for j in range(8):
+            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, half) * weight
+        if a.wants_table > 0:
+            give_solid(a.solid, c, (gp + narrowing * on_lateral) * weight)
+
+    @wp.func
+    def back_drag(w: World, a: Adjoint, slot: int, r: int, b: int, c: int, share: R, p: ps, p_viscous: pv):
+        """Leave the adjoint of round ``r``'s damping forces of cell ``c`` at its corners, of their x and of their v."""
+        narrowing = wp.grad(lateral_of)(p)
+        half = w.half[b]
+        first, g1, g2, g3, g4 = corners_of(w, slot, c, half)
+        moved, m1, m2, m3, m4 = moments(
+            w.eased[slot, r, w.cell[c, 0]],
+            w.eased[slot, r, w.cell[c, 1]],
+            w.eased[slot, r, w.cell[c, 2]],
+            w.eased[slot, r, w.cell[c, 3]],
+            w.eased[slot, r, w.cell[c, 4]],
+            w.eased[slot, r, w.cell[c, 5]],
+            w.eased[slot, r, w.cell[c, 6]],
+            w.eased[slot, r, w.cell[c, 7]],
+            half,
+        )
+        tried, d1, d2, d3, d4 = moments(
+            a.eased[w.cell[c, 0]],
+            a.eased[w.cell[c, 1]],
+            a.eased[w.cell[c, 2]],
+            a.eased[w.cell[c, 3]],
+            a.eased[w.cell[c, 4]],
+            a.eased[w.cell[c, 5]],
+            a.eased[w.cell[c, 6]],
+            a.eased[w.cell[c, 7]],
+            half,
+        )
+        inverse = wp.inverse(first)
+        q1 = inverse * g1
+        q2 = inverse * g2
+        q3 = inverse * g3
+        q4 = inverse * g4
+        n1 = inverse * (m1 - moved * q1)
+        n2 = inverse * (m2 - moved * q2)
+        n3 = inverse * (m3 - moved * q3)
+        n4 = inverse * (m4 - moved * q4)
+        e1 = inverse * (d1 - tried * q1)
+        e2 = inverse * (d2 - tried * q2)
+        e3 = inverse * (d3 - tried * q3)
+        e4 = inverse * (d4 - tried * q4)
+        lateral = contraction(p)
+        weight = -w.cell_volume[c] * R(0.125) * share
+        on_first = mat()
+        b1 = vec()
+        b2 = vec()
+        b3 = vec()
+        b4 = vec()
+        on_moved = mat()
+        v1 = vec()
+        v2 = vec()
+        v3 = vec()
+        v4 = vec()
+        on_lateral = R(0.0)
+        gp = pv()
+        for k in range(8):
+            point = w.points[c, k]
+            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+            f = first * whole
+            rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
+            d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
+            hf, hr, hp, stress = wp.grad(viscous_dot)(f, rate, p_viscous, d)
+            of, h1, h2, h3, h4, om, u1, u2, u3, u4, _t, _d1, _d2, _d3, _d4, _pt, _h, hl, _f, _r, _d = wp.grad(kinematics_dot)(
+                first, g1, g2, g3, g4, moved, m1, m2, m3, m4, tried, d1, d2, d3, d4, point, half, lateral, hf, hr, stress
+            )
+            on_first += of
+            b1 += h1
+            b2 += h2
+            b3 += h3
+            b4 += h4
+            on_moved += om
+            v1 += u1
+            v2 += u2
+            v3 += u3
+            v4 += u4
+            on_lateral += hl
+            gp += hp
+        for j in range(8):
+            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, half) * weight
+            a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, half) * weight
+        if a.wants_table > 0:
+            give_solid(a.solid, c, narrowing * (on_lateral * weight))
+            give_viscous(a.viscous, c, gp * weight)
+
+    @wp.func
+    def resqueezed(w: World, a: Adjoint, i: int, first: int):
+        """Adjoint of node ``i``'s position (``first`` 0) or velocity (8) by the cells around it."""
+        g = vec()
+        for e in range(w.cell_row[i], w.cell_row[i + 1]):
+            g += a.cells[w.cell_of[e] // 8, w.cell_of[e] % 8 + first]
+        return g
+
+    return back_strain, back_drag, resqueezed
+
+
+def assemble_cells(systems, starts, count: int, rounds) -> dict[str, np.ndarray]:
+    """All systems' cells side by side, as the kernels read them (``kernels.World``).
+
+    ``starts`` is the first of each system's nodes, of which there are ``count``; ``rounds`` (B,) of damping that each takes in a substep.
+    """
+    grids = [s.grid for s in systems]
+    cell = [first + g.nodes for g, first in zip(grids, starts, strict=False) if g is not None]
+    cell = np.concatenate(cell) if cell else np.zeros((0, 8), int)
+    row, of = incidence(cell, count)
+    start = np.concatenate([[0], np.cumsum([0 if g is None else len(g.cells) for g in grids])])
+    shares = np.zeros((len(systems), int(max(rounds))))
+    for own, number in zip(shares, rounds, strict=True):
+        own[:number] = ease(int(number))
+    here = [g for g in grids if g is not None]
+    return dict(
+        cell_start=start,
+        cell=cell,
+        cell_row=row,
+        cell_of=of,
+        rounds=np.asarray(rounds),
+        points=np.concatenate([g.points for g in here]) if here else np.zeros((0, 8, 3)),
+        cell_volume=np.concatenate([g.volume for g in here]) if here else np.zeros(0),
+        half=np.stack([np.ones(3) if g is None else g.size / 2 for g in grids]),
+        ease=shares,
+    )

@@ -1,0 +1,56 @@
+"""Compressible neo-Hookean elasticity of solids."""
+
+from typing import Any
+
+import warp as wp
+
+from ..parameters import Parameter
+from .base import Term
+
+__all__ = ["NeoHookean"]
+
+FLATTEST = 0.02  # least J of which the logarithm is taken: beyond it material is all but inside out
+
+
+@wp.func
+def stress(deformed: Any, p: Any, o: int):
+    one = type(p[o])(1.0)
+    two = type(p[o])(2.0)
+    mu = p[o] / (two * (one + p[o + 1]))
+    lame = two * mu * p[o + 1] / (one - two * p[o + 1])
+    inverse = wp.transpose(wp.inverse(deformed))
+    volume = wp.max(wp.determinant(deformed), type(p[o])(FLATTEST))
+    return (deformed - inverse) * mu + inverse * (lame * wp.log(volume))
+
+
+@wp.func
+def lateral(p: Any, o: int):
+    return p[o + 1] / (type(p[o])(1.0) - p[o + 1])
+
+
+class NeoHookean(Term):
+    """P = mu (F - F^-T) + lambda ln J F^-T, of the energy W = mu / 2 (tr F'F - 3 - 2 ln J) + lambda / 2 (ln J)^2.
+
+    Lame's constants mu = E / 2 (1 + nu) and lambda = 2 mu nu / (1 - 2 nu) are those of small strains. Bonet and Wood, "Nonlinear continuum
+    mechanics for finite element analysis", 2008, equation 6.28.
+    """
+
+    name = "neo_hookean"
+    stage = "solid"
+    parameters = (
+        Parameter("youngs_modulus", 2e4, 1e2, 1e8, "Pa", "Young's modulus E at small strains", scale="log"),
+        Parameter("poisson", 0.3, 0.0, 0.49, "-", "Poisson's ratio nu at small strains"),
+    )
+    law = stress
+    lateral = lateral
+
+    @staticmethod
+    def twin(deformed, youngs_modulus, poisson):
+        """The same law in numpy, for deformation gradients (..., 3, 3)."""
+        import numpy as np
+
+        mu = youngs_modulus / (2 * (1 + poisson))
+        lame = 2 * mu * poisson / (1 - 2 * poisson)
+        inverse = np.swapaxes(np.linalg.inv(deformed), -1, -2)
+        volume = np.log(np.maximum(np.linalg.det(deformed), FLATTEST))
+        return mu * (deformed - inverse) + lame * volume[..., None, None] * inverse
