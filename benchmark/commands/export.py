@@ -48,7 +48,10 @@ class Export:
         known("device", [self.device], DEVICES)
         cache, folder = Cache(default_cache()), writable(self.out)
         opened = [open_recordings(path, split="published", cache=cache) for path in dict.fromkeys(self.data)]
-        known("scenario", self.scenarios, list(dict.fromkeys(name for one in opened for name in one.collection.in_domain)))
+        alone = list(dict.fromkeys(name for one in opened for name in one.collection.in_domain))
+        if not alone:
+            raise ValueError(f"nothing to export: in {', '.join(self.data)} no twin is fitted on one recording alone")
+        known("scenario", self.scenarios, alone)
         options = {"seed": self.seed, "preset": self.preset, "device": self.device, "gaussians": self.gaussians}
         failed = False
         for name, reason in exported(opened, self.method, folder, cache=cache, scenarios=self.scenarios, **options):
