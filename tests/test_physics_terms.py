@@ -181,6 +181,8 @@ def test_columns_are_ordered_by_stage_and_padded():
         "_strand",
         "_hinge",
         "_facet",
+        "_solid",
+        "_viscous",
         *gravity,
         "_observer",
         "drag_damping",
@@ -192,8 +194,8 @@ def test_columns_are_ordered_by_stage_and_padded():
     assert Laws(AIR).columns == air
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
     assert Laws((SelfCollision, Springs)).columns == [*first, *contact, "_move", "_links", "_setup"]
-    assert Laws((Wind, Hardening, Gravity)).columns[:10] == ["cubic", "square", "_strand", "_hinge", "_facet", "wind_x", "wind_y", *gravity]
-    assert Laws((Count, Wind, Stir)).columns[:8] == ["_axial", "count", "stir", "stir_link", "_hinge", "_facet", "wind_x", "wind_y"]
+    assert Laws((Wind, Hardening, Gravity)).columns[:12] == ["cubic", "square", *first[1:6], "wind_x", "wind_y", *gravity]
+    assert Laws((Count, Wind, Stir)).columns[:10] == ["_axial", "count", "stir", "stir_link", *first[2:6], "wind_x", "wind_y"]
 
 
 NEW = [(Wind, Hardening, Gravity, Brake), (Count, Springs, Stir), (Dashpot, Springs, Hardening)]

@@ -83,7 +83,7 @@ def solid(term, seed=0):
     samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.004 for n in (12, 6, 5)], indexing="ij"), -1).reshape(-1, 3)
     grid = embed(samples, 0.048 * 0.024 * 0.02, 0.02, offset=rng.random(3))
     held = np.flatnonzero(grid.positions[:, 0] < grid.positions[:, 0].min() + 0.01)
-    kinds = dict.fromkeys((Gravity, NeoHookean, term))
+    own = {p.name: VALUES.get(p.name, p.decode(0.4)) for p in term.parameters} if term is not NeoHookean else {}
     return System(
         positions=grid.positions + rng.normal(size=grid.positions.shape) * 2e-4,
         velocities=rng.normal(size=grid.positions.shape) * 0.1,
@@ -93,7 +93,7 @@ def solid(term, seed=0):
         controllers=grid.positions[held] + np.linspace(0, 0.01, FRAMES)[:, None, None],
         grips=held,
         grid=grid,
-        terms=[k({p.name: VALUES.get(p.name, p.decode(0.4)) for p in k.parameters} if k is term and k is not NeoHookean else {}) for k in kinds],
+        terms=[k(own if k is term else {}) for k in dict.fromkeys((Gravity, NeoHookean, term))],
     )
 
 
