@@ -15,7 +15,7 @@ from .plan import Evaluation, Fit, plan
 from .runner import Progress, Runner
 from .status import Stopped
 
-__all__ = ["Player", "draw", "drawable", "view"]
+__all__ = ["Player", "blank_figure", "draw", "drawable", "view"]
 
 SEEN, HANDS, COLORS = "#9a9a9a", "#111111", ("#1f77b4", "#e07b00", "#2a9134", "#b5342b", "#7a4fb5", "#0f8b8d")
 
@@ -82,7 +82,7 @@ def draw(scenario: Scenario, rollouts: Mapping[str, Trajectory], metric: Metric,
     low, high = _limits(scenario, axes)
     width = 1.5  # inches a panel
     height = width * float(np.clip((high - low)[1] / (high - low)[0], 0.4, 1.2))
-    figure = _figure(3 * width + 4.0, max(len(rollouts) * (height + 0.05) + 0.6, 2.6))
+    figure = blank_figure(3 * width + 4.0, max(len(rollouts) * (height + 0.05) + 0.6, 2.6))
     grid = figure.add_gridspec(len(rollouts), 4, width_ratios=(1, 1, 1, 2.1), wspace=0.02, hspace=0.02)
     last = scenario.split.test or scenario.split.train
     for row, (method, trajectory) in enumerate(rollouts.items()):
@@ -114,7 +114,7 @@ def _color(row: int) -> str:
 
 def drawable(path: Path) -> None:
     """Raise ValueError without matplotlib, and where ``path`` ends in something that matplotlib cannot write."""
-    kinds = _figure(1, 1).canvas.get_supported_filetypes()
+    kinds = blank_figure(1, 1).canvas.get_supported_filetypes()
     if _kind(path) not in kinds:
         raise ValueError(f"a picture's name must end in one of {', '.join(sorted(kinds))}, got {path}")
 
@@ -123,7 +123,8 @@ def _kind(path: Path) -> str:
     return Path(path).suffix.lstrip(".").lower()
 
 
-def _figure(width: float, height: float):
+def blank_figure(width: float, height: float):
+    """A matplotlib figure of that size [inches]. Raises ValueError where there is no matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
