@@ -74,7 +74,7 @@ def test_every_step_runs_on_the_cpu(capsys, tmp_path):
     both, fits = "PhysTwin, both stages", ("GS-Dynamics, fit", "Spring-Gaus, fit", "appearance, fit")
     for step in ("PhysTwin, zero-order stage", both, *fits, "images and metrics"):
         assert f"| {step}" in said
-    assert "1 of 1 generations" in said and "failed" not in said and "| a case in all |" in said
+    assert "1 of 2 generations" in said and "failed" not in said and "| a case in all |" in said
     steps = json.loads((tmp_path / "steps.json").read_text())["steps"]["small"]
     whole = sum(step["times"] * step["seconds"] for step in steps)
     assert steps[-1]["seconds"] == pytest.approx(whole) and whole > 0
