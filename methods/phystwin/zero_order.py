@@ -85,20 +85,20 @@ def open_loop_costs(
     frames = max(loss.frames for loss in losses)
     systems = [system(body, place, config) for candidate in bodies for body, place in zip(candidate, places, strict=True)]
     motions = roll(systems, places[0].fps, frames, config, device)
-    found = [_cost(motion, losses[k % len(places)]) for k, motion in enumerate(motions)]
-    return np.reshape(found, (len(bodies), len(places))).mean(1).tolist()
+    found = torch.stack([_cost(motion, losses[k % len(places)]) for k, motion in enumerate(motions)])  # a GPU is waited for once
+    return found.double().cpu().numpy().reshape(len(bodies), len(places)).mean(1).tolist()
 
 
-def _cost(motion: Motion, loss: FitLoss) -> float:
+def _cost(motion: Motion, loss: FitLoss) -> torch.Tensor:
     if 0 <= motion.diverged < loss.frames:
-        return WORST
+        return motion.positions.new_tensor(WORST)
     total = loss(motion.positions[1 : loss.frames], 1)
     if motion.velocities is not None:
         # a = v_end - v_start of each frame; smooth-L1 of its change from frame to frame, off for the first frame
         change = motion.velocities[: loss.frames].diff(dim=0).diff(dim=0)
         jerk = torch.nn.functional.smooth_l1_loss(change, torch.zeros_like(change), reduction="none")
         total[1:] += ACCELERATION_WEIGHT * jerk.mean((1, 2))
-    return float(total.mean())
+    return total.mean()
 
 
 def _matters(name, places):
