@@ -97,8 +97,8 @@ ABLATIONS = {
         "the same with every quirk of the reference implementation: the paper's ablation",
         (
             _PUBLISHED,
-            Variant(f"{_PUBLISHED} (zero-order)", _PUBLISHED, stages=("zero",)),
-            Variant(f"{_PUBLISHED} (first-order)", _PUBLISHED, stages=("first",)),
+            Variant("phystwin-zero-as-published", _PUBLISHED, stages=("zero",)),
+            Variant("phystwin-first-as-published", _PUBLISHED, stages=("first",)),
         ),
         published=_PAPERS_STAGES,
     ),

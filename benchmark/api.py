@@ -61,12 +61,14 @@ class Study:
     def write(self, results: Results, place: Path, *, board: Path | None = None) -> Results:
         """``results`` with the new ``folder`` in ``place`` that they were written to; their leaderboard goes there, or to ``board``."""
         from .leaderboard import write_leaderboard
+        from .published import write_published
 
         def leaderboard(folder: Path) -> None:
             write_leaderboard(results, folder, says=self.experiment.says, published=self.experiment.published)
 
         def everything(folder: Path) -> None:
             write_results(results, folder)
+            write_published(results, folder)
             if board is None:
                 leaderboard(folder)
 

@@ -1,35 +1,43 @@
-"""How long a twin takes at full published size, and how much memory of the graphics card: PhysTwin, step by step, and GS-Dynamics' updates.
+"""How long one case of the full published size takes, and how much memory of the graphics card: every method's fit, appearance, metrics.
 
-python -m twinbench.benchmark.full_size                    on the GPU: 848 x 480 pixels, 3 views, some 2,000 particles, 100 frames
+python -m twinbench.benchmark.full_size                    on the GPU: 848 x 480 pixels, 3 views, 100 frames, 2,000 and 5,000 particles
 python -m twinbench.benchmark.full_size --small            the same steps on a CPU, small enough to be tried in a minute
 
-The recording is synthetic (MuJoCo), made anew each time, held in memory. Nothing is read from or written to a cache.
+The recordings are synthetic (MuJoCo), made anew each time, held in memory. Nothing is read from or written to a cache. What takes long is
+measured for a share of its steps; the table says how many of how many, and the seconds beside are those of all.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
-from .provenance import peak_memory, provenance, reset_peak_memory
+from .full_size_steps import PARTS, Clock, Step, left_out
+from .provenance import provenance
 
-__all__ = ["PUBLISHED", "SMALL", "InMemory", "Size", "main", "measure", "recorded"]
+__all__ = ["PUBLISHED", "SMALL", "InMemory", "Size", "main", "measure", "recorded", "table"]
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much there is of everything.
+    """How much there is of everything, and how much of it is measured.
 
     width, height  of an image [pixel]; three cameras
     frames         of the recording
     spacing        of the particles [m]
     preset         of the twins and of the appearance
     limits         fields of PhysTwin's config that are cut short
-    updates        of GS-Dynamics that are timed
+    updates        of GS-Dynamics that are timed: a multiple of 50, after one that is not
+    epochs         of Spring-Gaus, a multiple of 4, so that all its numbers of substeps occur as often as in a whole fit; ``sights`` frames
+    iterations     of the appearance: a multiple of 50, of which the first 50 are not timed
+    drawn          frames that are drawn and scored
+    limit          s after which the appearance is left as it is
     """
 
     width: int = 848
@@ -37,15 +45,19 @@ class Size:
     frames: int = 100
     spacing: float = 0.005
     preset: str = "full"
-    limits: dict = field(default_factory=dict)
-    updates: int = 60
+    limits: dict = field(default_factory=lambda: {"epochs": 30})
+    updates: int = 100
+    epochs: int = 4
+    sights: int = 14
+    iterations: int = 200
+    drawn: int = 12
+    limit: float = 45.0
 
 
-PUBLISHED = Size()
-SMALL = Size(54, 40, 12, 0.012, "quick", {"iterations": 1, "population": 3, "epochs": 1}, 4)
+PUBLISHED = {"2000": Size(), "5000": Size(spacing=0.0031)}
+SMALL = Size(54, 40, 12, 0.012, "quick", {"iterations": 1, "population": 3, "epochs": 2}, 50, 4, 4, 100, 4)
 FOCAL = 67 / 40  # of the sample's cameras, in heights of the image
-PARTS = ("twin", "network", "look")
-GOALS = {"zero-order stage": 60.0, "first-order stage": 120.0, "images": 10.0}  # s
+GOALS = {"PhysTwin, both stages": 60.0, "a case in all": 600.0}  # s
 
 
 @dataclass(frozen=True)
@@ -91,170 +103,75 @@ def recorded(size: Size):
     return replace(made.scenario, images=InMemory(made.footage, size.frames))
 
 
-@dataclass(frozen=True)
-class Step:
-    """What was done, in how many seconds, with at most how much memory of the card [MiB]; ``note`` says how much it was."""
+def measure(size: Size, device: str, parts: Sequence[str] = tuple(PARTS), *, until: float = float("inf")) -> list[Step]:
+    """Fit and roll out every method as published, then draw and score a roll-out, or some of these ``PARTS``.
 
-    name: str
-    seconds: float
-    card: float
-    note: str = ""
-
-
-class _Clock:
-    """Times steps and prints each as it ends."""
-
-    def __init__(self, device: str):
-        self.device, self.steps = device, []
-
-    def __call__(self, name: str, work: Callable, note: Callable = lambda result: ""):
-        """The result of ``work()``."""
-        reset_peak_memory()
-        began = time.perf_counter()
-        result = work()
-        self.add(name, time.perf_counter() - began, note(result))
-        return result
-
-    def add(self, name: str, seconds: float, note: str = "") -> None:
-        if self.device == "cuda":
-            import torch
-
-            torch.cuda.synchronize()
-        self.steps.append(Step(name, seconds, peak_memory()["peak_device_memory_mib"], note))
-        print(f"{name}: {seconds:.2f} s, {self.steps[-1].card / 1024:.2f} GiB; {note}", flush=True)
-
-
-def measure(size: Size, device: str, method: str, parts: Sequence[str] = PARTS) -> list[Step]:
-    """Fit and roll out, train GS-Dynamics for a while, then dress, draw and score the roll-out, or some of these ``PARTS``.
-
-    Where no twin is fitted, the roll-out that is dressed is that of a rigid body.
+    A part that fails is a step that says so; none is begun after ``until``, by ``time.monotonic``.
     """
-    clock = _Clock(device)
+    clock = Clock(device, size.preset)
     scenario = clock(
         "recording (made, not part of any method)",
         lambda: recorded(size),
         lambda made: f"{made.frame_count} frames, {len(made.cameras)} views of {size.width} x {size.height}, {sum(made.counts)} particles",
+        times=0,
     )
-    if "network" in parts:
-        _graph_network(clock, scenario, size, device)
-    twin = _twin(clock, scenario, size, device, method if "twin" in parts else "rigid")
-    trajectory = clock("roll-out of all frames", lambda: twin.rollout(scenario.controllers))
-    if "look" in parts:
-        _look(clock, scenario, trajectory, size, device)
-    return clock.steps
+    for name in parts:
+        if time.monotonic() > until:
+            clock.failed(name, "no time left")
+            continue
+        try:
+            PARTS[name](clock, scenario, size)
+        except Exception as error:  # the other parts are worth their time
+            clock.failed(name, f"{type(error).__name__}: {error}")
+    return [*clock.steps, *_sums(clock.steps)]
 
 
-def _twin(clock, scenario, size, device, name):
-    from ..methods.base import Budget
-    from ..methods.phystwin.ranges import SEARCHED
-    from ..methods.registry import get_method
-
-    method, observed = get_method(name), scenario.observed()
-    if name == "rigid":
-        return method.fit([observed], budget=Budget(size.preset))
-    config = replace(method.config(size.preset, observed), **size.limits)
-    once = replace(config, iterations=1, epochs=1, frames=3)
-    clock("kernels (compiled once on a machine)", lambda: method.fitted(method.recordings([observed], once), once, seed=0, device=device))
-    ends = {}
-
-    def progress(label, fraction):
-        ends["zero" if fraction <= 0.5 else "first"] = time.perf_counter()  # two stages, half of the progress each
-
-    reset_peak_memory()
-    began = time.perf_counter()
-    twin = method.fitted([observed], config, seed=0, device=device, progress=progress)
-    population = config.population or 4 + int(3 * np.log(len(SEARCHED)))  # the default of CMA-ES
-    springs = len(twin.body.springs) + len(twin.body.pulls)
-    clock.add(
-        "zero-order stage", ends["zero"] - began, f"{config.iterations * population} evaluations of {observed.observed_frames} frames"
-    )
-    clock.add("first-order stage", ends["first"] - ends["zero"], f"{config.epochs} epochs, {springs} springs")
-    return twin
+def _sums(steps: Sequence[Step]) -> list[Step]:
+    """PhysTwin's two stages, and all that a case needs, where nothing of them is missing."""
+    stages = [step for step in steps if step.name in ("PhysTwin, zero-order stage", "PhysTwin, first-order stage")]
+    found = [Step("PhysTwin, both stages", sum(step.seconds for step in stages), times=0)] if len(stages) == 2 else []
+    if steps and all(any(step.part == part for step in steps) and not any(step.lost for step in steps) for part in PARTS):
+        everything = Step("a case in all", sum(step.times * step.seconds for step in steps), times=0)
+        found.append(replace(everything, note="fits and roll-outs of three methods, one appearance, metrics of three roll-outs"))
+    return found
 
 
-def _look(clock, scenario, trajectory, size, device):
-    """Dress, draw and score the roll-out: each frame as the published view and as the corrected one show it."""
-    import torch
-
-    from ..methods.appearance import Appearance
-    from ..methods.appearance.render import chosen
-    from ..metrics.base import metrics, scores
-    from .rendering import Shown
-
-    renderer = chosen("auto", torch.device(device))
-    appearance = clock(
-        "appearance fit",
-        lambda: Appearance.fit(scenario.initial(), preset=size.preset, device=device),
-        lambda made: f"{len(made.gaussians.positions)} Gaussians, drawn by {renderer}",
-    )
-    camera = scenario.cameras[0]
-    views = replace(camera, intrinsics=scenario.cameras[1].intrinsics), camera
-    frames = range(1, scenario.frame_count)
-
-    def draw():
-        shown = Shown.of(trajectory, lambda: appearance)
-        return sum(np.count_nonzero(shown.image(view, frame)[..., 3]) for frame in frames for view in views)
-
-    pixels = len(frames) * len(views) * camera.width * camera.height
-    clock("images", draw, lambda drawn: f"{len(frames)} frames x {len(views)} views, the body on {drawn / pixels:.1%} of the pixels")
-    known = metrics()
-    shown = Shown.of(trajectory, lambda: appearance)
-    clock(
-        "metrics, images drawn anew",
-        lambda: scores(known, shown, scenario, frames),
-        lambda found: ", ".join(f"{name} {score.mean:.4g}" for name, score in found.items()),
-    )
-    for name, metric in known.items():
-        if reason := metric.unavailable():
-            print(f"{name}: {reason}", flush=True)
-
-
-def _graph_network(clock, scenario, size, device):
-    """A few updates of GS-Dynamics, and the roll-out of what they made of it: as long as one of a network that has been trained."""
-    from ..methods.base import Budget
-    from ..methods.gs_dynamics import GSDynamics
-    from ..methods.variants import Variant
-
-    def fit(updates):
-        method = Variant("cut short", "gs-dynamics", {"iterations": updates})()
-        return method.fit([scenario.observed()], budget=Budget(size.preset), device=device)
-
-    config = GSDynamics.presets[size.preset]
-    fit(2)  # libraries start
-    twin = clock(
-        "GS-Dynamics, updates",
-        lambda: fit(size.updates),
-        lambda _: f"{size.updates} of {config.iterations}, {config.batch} windows each, width {config.width}",
-    )
-    clock("GS-Dynamics, roll-out", lambda: twin.rollout(scenario.controllers))
-
-
-def table(steps: list[Step]) -> str:
+def table(steps: Sequence[Step]) -> str:
     """The steps as a table in Markdown."""
-    rows = ["| step | seconds | goal | GPU memory, peak [GiB] | |", "|---|---:|---:|---:|---|"]
+    rows = ["| step | seconds | measured | goal | GPU memory, peak [GiB] | |", "|---|---:|---|---:|---:|---|"]
     for step in steps:
         goal = f"{GOALS[step.name]:g}" if step.name in GOALS else ""
-        rows.append(f"| {step.name} | {step.seconds:.2f} | {goal} | {step.card / 1024:.2f} | {step.note} |")
+        seconds = "" if step.lost else f"{step.seconds:.2f}"
+        card = f"{step.card / 1024:.2f}" if step.card else ""
+        rows.append(f"| {step.name} | {seconds} | {step.measured} | {goal} | {card} | {step.note} |")
     return "\n".join(rows)
 
 
 def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--small", action="store_true", help="a small recording and few steps, on the CPU")
-    parser.add_argument("--method", default="phystwin-as-published", choices=("phystwin-as-published", "phystwin"))
-    parser.add_argument(
-        "--only", nargs="+", default=PARTS, choices=PARTS, help="fit the twin; train GS-Dynamics; appearance, images, metrics"
-    )
+    parser.add_argument("--particles", nargs="+", default=tuple(PUBLISHED), choices=tuple(PUBLISHED), help="about so many")
+    parser.add_argument("--only", nargs="+", default=tuple(PARTS), choices=tuple(PARTS), help="some of the parts")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="no part is begun after so many seconds")
+    parser.add_argument("--out", type=Path, help="a file for the same as JSON")
     options = parser.parse_args(arguments)
-    device = "cpu" if options.small else "cuda"
+    device, until = "cpu" if options.small else "cuda", time.monotonic() + options.seconds
     try:
         about = provenance(device)
     except ValueError as error:
         parser.error(f"{error.args[0].split(';')[0]}; --small runs on the CPU")
-    steps = measure(SMALL if options.small else PUBLISHED, device, options.method, options.only)
-    fitted = options.method if "twin" in options.only else "rigid"
-    print(f"\n{fitted}, {about['device']}, torch {about['torch']}, warp {about['warp']}, commit {about['commit']}\n")
-    print(table(steps))
+    sizes = {"small": SMALL} if options.small else {name: PUBLISHED[name] for name in options.particles}
+    found, lacking = {}, left_out()
+    for name, size in sizes.items():
+        print(f"-- {name}", flush=True)
+        found[name] = measure(size, device, options.only, until=until)
+        if options.out:
+            steps = {name: [asdict(step) for step in steps] for name, steps in found.items()}
+            options.out.write_text(json.dumps({"about": about, "left_out": lacking, "steps": steps}, indent=1), encoding="utf-8")
+    print(f"\n{about['device']}, torch {about['torch']}, warp {about['warp']}, commit {about['commit']}")
+    print("\n".join(f"Left out: {one}" for one in lacking))
+    for name, steps in found.items():
+        print(f"\n{name}\n\n{table(steps)}")
 
 
 if __name__ == "__main__":

@@ -145,7 +145,10 @@ def _about(found: Sequence[Board], results: Results) -> list[str]:
     for board in found:
         tasks.setdefault(board.over, []).append(f"{board.sheet.block.collection}, {board.sheet.block.task}")
     first, *others = remarks(results)
-    return [first, *(said[over] if len(tasks) == 1 else f"{'; '.join(where)}: {said[over]}" for over, where in tasks.items()), *others]
+    beside = dict.fromkeys(board.sheet.block.collection for board in found if any(line.published for line in board.sheet.block.lines))
+    cited = [f"{name}: figures that others report are from {results.citations[name]}" for name in beside if results.citations.get(name)]
+    over = [said[over] if len(tasks) == 1 else f"{'; '.join(where)}: {said[over]}" for over, where in tasks.items()]
+    return [first, *over, *others, *cited]
 
 
 def _elsewhere(results: Results, methods: Sequence[str] | None) -> list[tuple[str, list[list[str]]]]:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 from .text import shown
 
-__all__ = ["REMEMBERED", "SCORED", "Bar", "Bytes", "say"]
+__all__ = ["REMEMBERED", "SCORED", "Bar", "Bytes", "say", "spoken_time"]
 
 SCORED, REMEMBERED = "scored", "remembered"  # how a step ends: by work, or because its rows were there
 SILENCE = 60.0  # s after which a step that goes on says so, where there is no bar
@@ -63,7 +63,7 @@ class Bar:
         if stage == SCORED:
             self._took.setdefault(method, []).append(took)
             left = self.remaining(now)
-            self._line(f"{step}: {stage} after {_spoken(took)}{', ' if left else ''}{left}", now)
+            self._line(f"{step}: {stage} after {spoken_time(took)}{', ' if left else ''}{left}", now)
 
     def remaining(self, now: float) -> str:
         """How much time is left, in words; "" where that is not known."""
@@ -71,7 +71,7 @@ class Bar:
         if not left or not set(left) <= set(self._took):
             return ""
         expected = sum(count * sum(self._took[method]) / len(self._took[method]) for method, count in left.items())
-        return f"about {_spoken(max(expected - (now - self._ended), 0.0))} left"
+        return f"about {spoken_time(max(expected - (now - self._ended), 0.0))} left"
 
     def _line(self, said: str, now: float) -> None:
         self._said = now
@@ -83,7 +83,7 @@ class Bar:
         self._bar.close()
 
 
-def _spoken(seconds: float) -> str:
+def spoken_time(seconds: float) -> str:
     """A time in words, as exact as one cares to know."""
     for limit, unit, name in ((100, 1, "s"), (6000, 60, "min"), (float("inf"), 3600, "h")):
         if seconds < limit:

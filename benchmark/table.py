@@ -122,7 +122,7 @@ def _published(results: Results, collection: str, task: str) -> list[Line]:
     for method in dict.fromkeys(method for _, method, _ in figures):
         means = {metric: figures.get((task, method, metric), math.nan) for metric in results.units}
         counts = {metric: int(math.isfinite(mean)) for metric, mean in means.items()}
-        label = method if method.endswith("(published)") else f"{method} (published)"
+        label = method if method.endswith(("(published)", "not run here)")) else f"{method} (published)"
         lines.append(Line(label, means, counts, published=True))
     return lines
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from .catalogue import CASES, CITATION, PAIRS, PUBLISHED
+from .catalogue import CASES, CITATION, CITED, PAIRS, PUBLISHED, cited_from
 from .collection import Collection
 from .files import present
 from .phystwin import read_case
@@ -65,8 +65,8 @@ class PhysTwinLayout:
             scenarios={name: partial(read_case, folder) for name, folder in cases.items()},
             in_domain=tuple(cases),
             pairs=tuple(pairs),
-            published=PUBLISHED if whole else {},
-            citation=CITATION if set(cases) & set(CASES) else "",
+            published=PUBLISHED | CITED if whole else {},
+            citation=f"{CITATION} {cited_from()}" if whole else CITATION if set(cases) & set(CASES) else "",
         )
 
 

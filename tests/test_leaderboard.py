@@ -5,6 +5,7 @@ import math
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from twinbench.benchmark.leaderboard import boards, half_width, leaderboard_csv, leaderboard_latex, leaderboard_markdown, write_leaderboard
 from twinbench.benchmark.results import Results
 from twinbench.benchmark.table import blocks, escape
-from twinbench.datasets.catalogue import PUBLISHED
+from twinbench.datasets.catalogue import CITED, PUBLISHED, cited_from
 
 NEVER = {"reason": "", "diverged_frame": None, "note": ""}
 
@@ -113,6 +114,21 @@ def test_the_papers_figures_stand_apart_where_the_recordings_are_others():
     assert "cannot be compared" not in leaderboard_markdown(table(*THREE), published=())
     few = leaderboard_markdown(table(*THREE), published=("phystwin-zero",))
     assert "| phystwin-zero (published) | 14 |" in few and "| phystwin (published)" not in few
+
+
+def test_later_work_is_cited_below_the_papers_figures_and_said_not_to_be_run_here():
+    # NeuSpring, future prediction: Chamfer 8.7 mm; it has no IoU here. The paper's rows come first, and no cited row can be the best
+    found = replace(table(*THREE, published=PUBLISHED | CITED), citations={"made": f"The paper. {cited_from()}"})
+    text = leaderboard_markdown(found)
+    lines = text.splitlines()
+    assert "| *neuspring (cited, not run here)* | *8.7* | *-* |  |  |" in lines
+    paper, later = "| *phystwin (published)* | *12* | *0.725* |  |  |", "| *matphys (cited, not run here)* | *8* | *-* |  |  |"
+    assert lines.index(paper) < lines.index(later)
+    assert "neuspring: Q. Xu et al., NeuSpring, arXiv:2511.08310" in text and "protocols that may differ" in text
+    assert "| a | **11.00**" in text and {task for task, _, _ in CITED} == {"prediction"}
+    cited = [row for row in csv.DictReader(leaderboard_csv(found).splitlines()) if "not run here" in row["method"]]
+    assert len(cited) == 6 and {row["published"] for row in cited} == {"True"} and {row["best"] for row in cited} == {"False"}
+    assert "not run here" not in leaderboard_markdown(table(*THREE)), "only beside the recordings that they are of"
 
 
 def test_published_names_are_those_of_methods():

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from twinbench.physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
+from twinbench.physics.topology import Neighbours, controller_springs, object_springs, rope_hinges, sheet_hinges
 
 NONE = np.zeros((0, 2), int)
 
@@ -90,6 +90,37 @@ def test_properties_of_object_springs(seed, count, radius, most, flat):
     assert np.bincount(springs[:, 0], minlength=count).max() <= max(0, most - 1)  # its own search counts itself
     lengths = np.linalg.norm(points[springs[:, 0]] - points[springs[:, 1]], axis=1)
     assert (lengths < radius + 1e-6).all() and (lengths > 1e-4 - 1e-6).all()  # float32 positions
+
+
+BODIES = {
+    "scattered": lambda random: random.uniform(0, 0.1, (300, 3)),
+    "some alike": lambda random: np.concatenate([random.uniform(0, 0.1, (300, 3)), np.full((3, 3), 0.05), np.eye(3) * 0.01 + 0.02]),
+    "lattice": lambda random: np.stack(np.meshgrid(*[np.arange(5) * 0.01] * 3), -1).reshape(-1, 3),
+    "few": lambda random: random.uniform(0, 0.02, (4, 3)),
+    "one": lambda random: np.zeros((1, 3)),
+    "none": lambda random: np.zeros((0, 3)),
+}
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_one_search_serves_every_radius_and_number(body):
+    """Bit by bit what a search of its own gives, which the tests above hold to the published construction."""
+    random = np.random.default_rng(0)
+    points = BODIES[body](random)
+    known = Neighbours(points, radius=0.05, max_neighbours=50)
+    apart = np.linalg.norm(np.float32(points[:1]).astype(float) - np.float32(points[1:2]).astype(float))
+    for radius in (0.01, *random.uniform(0.01, 0.05, 6), *([apart] if 0 < apart <= 0.05 else []), 0.05):
+        for most in (0, 1, 2, 3, 10, 49, 50):
+            found = known.springs(radius=radius, max_neighbours=most)
+            expected = object_springs(points, radius=radius, max_neighbours=most)
+            assert found.dtype == expected.dtype and np.array_equal(found, expected), (radius, most)
+
+
+def test_more_than_was_searched_is_refused():
+    known = Neighbours(np.eye(3), radius=0.05, max_neighbours=50)
+    for asked in ({"radius": 0.06, "max_neighbours": 50}, {"radius": 0.05, "max_neighbours": 51}):
+        with pytest.raises(ValueError, match=r"neighbours are known within 0.05 m, at most 50, got object_radius 0.0"):
+            known.springs(**asked)
 
 
 def test_order_of_a_line():

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
-from twinbench.datasets.catalogue import CASES, PAIRS, PUBLISHED, self_collides
+from twinbench.datasets.catalogue import CASES, CITED, PAIRS, PUBLISHED, self_collides
 from twinbench.datasets.collection import layouts, open_collection
 from twinbench.datasets.findings import collected
 from twinbench.datasets.phystwin import read_case, write_case
@@ -509,7 +509,7 @@ def test_the_published_folder_is_found_from_above(tmp_path, below):
     (tmp_path / below / "rope_double_hand" / "scenario.json").unlink()
     found = open_collection(tmp_path)
     assert found.name == "phystwin" and set(found.in_domain) == set(CASES) and set(found.pairs) == set(PAIRS)
-    assert found.published == PUBLISHED and "ICCV 2025" in found.citation
+    assert found.published == PUBLISHED | CITED and "ICCV 2025" in found.citation and "arXiv:2511.08310" in found.citation
     assert found.load("rope_double_hand").object == "rope"
     assert set(open_collection(tmp_path, split="clean").pairs) == set(PAIRS), "every case is a take of its own"
     with pytest.raises(ValueError, match="did you mean 'single_lift_rope'"):
@@ -525,6 +525,7 @@ def test_of_a_part_of_the_published_cases_only_what_is_there_is_offered(tmp_path
         TransferPair(("double_stretch_zebra",), "double_lift_zebra"),
     }
     assert found.published == {}, "means over 22 cases are no means over 3"
+    assert "arXiv:2511.08310" not in found.citation, "nobody else's figures stand beside them"
 
 
 def test_own_cases_pair_by_object(tmp_path):

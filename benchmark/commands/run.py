@@ -39,7 +39,8 @@ class Run:
     seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0,)
     """Seeds; every method is fitted once with each."""
     preset: str = "quick"
-    """How much work a fit may do: quick or full. paper: full, and all tables of the PhysTwin paper for the recordings in ./data."""
+    """How much work a fit may do: quick or full. paper: full, and all tables of the PhysTwin paper for the recordings in ./data, as
+    published, the main one also corrected; it says first what it will do, and how long that takes."""
     device: str = "cpu"
     """Where to compute: cpu or cuda."""
     split: str = "published"
@@ -57,16 +58,22 @@ class Run:
     """Also write one HTML file with the tables and, frame by frame, what every twin did. It opens without a network."""
 
     def __call__(self) -> int:
+        from ..announcement import announce
         from ..api import studies
+        from ..presets import PRESETS
 
         asked = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("out", "leaderboard", "report")}
         found = studies(**asked)
+        if PRESETS[self.preset].announced and not self.quiet:
+            announce(found)
         failed = [self._run(study, alone=len(found) == 1) for study in found]
         return 1 if any(failed) else 0
 
     def _run(self, study, *, alone: bool) -> bool:
         """One table: computed, written and printed. Whether anything in it failed."""
         from ..folders import name_for
+        from ..published import compared, terminal
+        from ..published_figure import undrawable
         from ..status import FAULTS
 
         experiment, own = study.experiment, "" if alone else study.experiment.name
@@ -77,6 +84,10 @@ class Run:
             writable(report.parent, option="--report")
         results = study.write(study.run(), place, board=board)
         print("\n\n".join(filter(None, (experiment.says, str(results)))))
+        if figures := compared(results):
+            print(f"\n{terminal(figures)}")
+            if reason := undrawable():
+                print(f"No picture of these figures: {reason}")
         notes = [found.note for found, _ in study.work if found.note]
         for note in notes:
             print(shown(note))

@@ -14,7 +14,7 @@ from ...physics.stability import stable_substeps
 from ...physics.system import System
 from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
 from ...physics.terms.base import Term
-from ...physics.topology import controller_springs, object_springs
+from ...physics.topology import Neighbours, controller_springs, object_springs
 from .config import Config
 from .ranges import ADDED_SHARE, CONTACT
 
@@ -85,9 +85,13 @@ class Motion:
     diverged: int
 
 
-def build(values: dict[str, float], place: Place, added: Sequence[Term] = ()) -> Body:
-    """A homogeneous body: topology and stiffness from the searched parameters, and what share of its amplitude ``added`` physics has."""
-    springs = object_springs(place.structure, radius=values["object_radius"], max_neighbours=int(values["object_max_neighbours"]))
+def build(values: dict[str, float], place: Place, added: Sequence[Term] = (), *, neighbours: Neighbours | None = None) -> Body:
+    """A homogeneous body: topology and stiffness from the searched parameters, and what share of its amplitude ``added`` physics has.
+
+    ``neighbours`` of the place's structure, where they are known already, spare the search.
+    """
+    asked = {"radius": values["object_radius"], "max_neighbours": int(values["object_max_neighbours"])}
+    springs = neighbours.springs(**asked) if neighbours else object_springs(place.structure, **asked)
     pulls = hand_springs(values, place)
     stiffness, pull = (np.full(len(s), values["global_spring_Y"]) for s in (springs, pulls))
     scaled = tuple(_scaled(term, values.get(ADDED_SHARE.name, 1.0)) for term in added)

@@ -10,7 +10,8 @@ from ...datasets.scenario import Observed
 
 __all__ = ["FitLoss", "nearest_particles"]
 
-PAIRS = 1 << 22  # distances at a time: 16 MiB in float32
+# distances at a time, in float32 16 and 64 MiB: one frame a launch would keep a graphics card waiting for Python
+PAIRS = {"cpu": 1 << 22, "cuda": 1 << 24}
 
 
 class FitLoss:
@@ -58,7 +59,7 @@ def nearest_particles(goal: torch.Tensor, particles: torch.Tensor, *, plain: boo
     """
     distances = _squares if plain else partial(torch.cdist, compute_mode="donot_use_mm_for_euclid_dist")
     each, others = goal.shape[1], particles.shape[1]
-    frames, rows = (max(1, PAIRS // max(1, pairs)) for pairs in (each * others, others))
+    frames, rows = (max(1, PAIRS[goal.device.type] // max(1, pairs)) for pairs in (each * others, others))
     nearest = torch.empty(goal.shape[:2], dtype=torch.int64, device=goal.device)
     for goals, there, found in zip(*(t.split(frames) for t in (goal, particles, nearest)), strict=True):
         for some, indices in zip(goals.split(rows, 1), found.split(rows, 1), strict=True):

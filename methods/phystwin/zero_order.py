@@ -10,6 +10,7 @@ import torch
 
 from ...datasets.scenario import Observed
 from ...physics.terms.base import Term
+from ...physics.topology import Neighbours
 from .body import Body, Motion, Place, build, regrip, roll, system
 from .config import Config
 from .losses import FitLoss
@@ -43,6 +44,10 @@ def search(
     table = ranges(config.quirks, observed[0].spacing) + ((ADDED_SHARE,) if added else ())
     moving = [p for p in table if _matters(p.name, places) or config.quirks.inert_parameters]
     base = {p.name: p.value for p in table}
+    most = {p.name: p.high for p in table}
+    known = Neighbours(  # a decoded parameter may lie beyond its bound by a rounding
+        places[0].structure, radius=most["object_radius"] * (1 + 1e-6), max_neighbours=int(most["object_max_neighbours"])
+    )
 
     def decode(unit):
         return base | {p.name: p.decode(float(u)) for p, u in zip(moving, unit, strict=True)}
@@ -52,11 +57,11 @@ def search(
     if config.population:
         options["popsize"] = config.population
     strategy = cma.CMAEvolutionStrategy(start, SIGMA, options)
-    best = (np.inf if config.quirks.unscored_start else costs([base], places, losses, config, device, added)[0], base)
+    best = (np.inf if config.quirks.unscored_start else costs([base], places, losses, config, device, added, known)[0], base)
     for generation in range(config.iterations):
         units = strategy.ask()
         candidates = [decode(u) for u in units]
-        found = costs(candidates, places, losses, config, device, added)
+        found = costs(candidates, places, losses, config, device, added, known)
         strategy.tell(units, found)
         best = min([best, *zip(found, candidates, strict=True)], key=lambda pair: pair[0])
         if progress:
@@ -64,9 +69,9 @@ def search(
     return best[1]
 
 
-def costs(candidates, places, losses, config, device, added=()) -> list[float]:
+def costs(candidates, places, losses, config, device, added=(), neighbours=None) -> list[float]:
     """Mean loss over recordings of homogeneous bodies with each candidate's parameters."""
-    first = [build(values, places[0], added) for values in candidates]
+    first = [build(values, places[0], added, neighbours=neighbours) for values in candidates]
     bodies = [[body, *(regrip(body, place) for place in places[1:])] for body in first]
     return open_loop_costs(bodies, places, losses, config, device)
 
@@ -81,20 +86,20 @@ def open_loop_costs(
     frames = max(loss.frames for loss in losses)
     systems = [system(body, place, config) for candidate in bodies for body, place in zip(candidate, places, strict=True)]
     motions = roll(systems, places[0].fps, frames, config, device)
-    found = [_cost(motion, losses[k % len(places)]) for k, motion in enumerate(motions)]
-    return np.reshape(found, (len(bodies), len(places))).mean(1).tolist()
+    found = torch.stack([_cost(motion, losses[k % len(places)]) for k, motion in enumerate(motions)])  # a GPU is waited for once
+    return found.double().cpu().numpy().reshape(len(bodies), len(places)).mean(1).tolist()
 
 
-def _cost(motion: Motion, loss: FitLoss) -> float:
+def _cost(motion: Motion, loss: FitLoss) -> torch.Tensor:
     if 0 <= motion.diverged < loss.frames:
-        return WORST
+        return motion.positions.new_tensor(WORST)
     total = loss(motion.positions[1 : loss.frames], 1)
     if motion.velocities is not None:
         # a = v_end - v_start of each frame; smooth-L1 of its change from frame to frame, off for the first frame
         change = motion.velocities[: loss.frames].diff(dim=0).diff(dim=0)
         jerk = torch.nn.functional.smooth_l1_loss(change, torch.zeros_like(change), reduction="none")
         total[1:] += ACCELERATION_WEIGHT * jerk.mean((1, 2))
-    return float(total.mean())
+    return total.mean()
 
 
 def _matters(name, places):

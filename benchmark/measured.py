@@ -1,0 +1,18 @@
+"""What one case of the published size takes, as measured: 848 x 480 pixels, 3 views, 100 frames, some 2,000 particles, preset "full".
+
+The source of every figure is results/full_size.md, which says on which machine; ``python -m twinbench.benchmark.full_size`` measures anew.
+"""
+
+from __future__ import annotations
+
+__all__ = ["FIT_SECONDS", "SOURCE"]
+
+SOURCE = "results/full_size.md"
+
+# s for one fit, by device and method; what is not here was not measured
+FIT_SECONDS = {
+    "cuda": {
+        "gs-dynamics": 650.0,  # 7.8 s for 60 of its 5,000 updates
+        "phystwin-as-published": 103.4,
+    },
+}
