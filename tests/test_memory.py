@@ -62,7 +62,7 @@ def test_the_nearest_are_the_same_however_few_distances_are_held(pairs, plain, m
         return real(tensor, *given)
 
     monkeypatch.setattr(torch.Tensor, "argmin", watched)
-    monkeypatch.setattr(losses, "PAIRS", pairs)
+    monkeypatch.setattr(losses, "PAIRS", {"cpu": pairs})
     found = nearest_particles(goal, particles, plain=plain)
     assert max(largest) <= max(pairs, 20) and found.shape == (5, 6)
     squares = ((goal[:, :, None] - particles[:, None]) ** 2).sum(3)
