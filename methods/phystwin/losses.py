@@ -8,8 +8,6 @@ from ...datasets.scenario import Observed
 
 __all__ = ["FitLoss", "nearest_particles"]
 
-PAIRS = 1 << 24  # whose squared distances are in memory at once: 64 MiB in float32
-
 
 class FitLoss:
     """Chamfer and track loss of one recording's train frames.
@@ -55,6 +53,5 @@ def nearest_particles(goal: torch.Tensor, particles: torch.Tensor, *, plain: boo
     """
     if not plain:
         return torch.cdist(goal, particles, compute_mode="donot_use_mm_for_euclid_dist").argmin(2)
-    at_once = max(1, PAIRS // max(1, goal.shape[1] * particles.shape[1]))  # one frame a launch would keep a GPU waiting for Python
-    parts = zip(goal.split(at_once), particles.split(at_once), strict=True)
-    return torch.cat([sum((g[:, :, None, k] - p[:, None, :, k]) ** 2 for k in range(3)).argmin(2) for g, p in parts])
+    squares = (sum((g[:, None, k] - p[:, k]) ** 2 for k in range(3)) for g, p in zip(goal, particles, strict=True))
+    return torch.stack([square.argmin(1) for square in squares])
