@@ -165,7 +165,7 @@ def gs_dynamics(clock: Clock, scenario, size: Size) -> None:
     from ..methods.registry import get_method
 
     clock.part = "gs-dynamics"
-    full = get_method("gs-dynamics-as-published").presets[size.preset]
+    full = get_method("gs-dynamics-as-published").config(size.preset, scenario.observed())
     method, watch = _variant("gs-dynamics-as-published", {"iterations": size.updates + 1}), Watch(clock)
     twin = method.fit([scenario.observed()], budget=Budget(size.preset), device=clock.device, progress=watch)
     seconds, done = watch.whole(size.updates + 1, full.iterations)

@@ -15,7 +15,7 @@ from .plan import Evaluation, Fit, plan
 from .runner import Progress, Runner
 from .status import Stopped
 
-__all__ = ["Player", "blank_figure", "draw", "drawable", "view"]
+__all__ = ["Player", "blank_figure", "draw", "drawable", "save", "view"]
 
 SEEN, HANDS, COLORS = "#9a9a9a", "#111111", ("#1f77b4", "#e07b00", "#2a9134", "#b5342b", "#7a4fb5", "#0f8b8d")
 
@@ -96,6 +96,11 @@ def draw(scenario: Scenario, rollouts: Mapping[str, Trajectory], metric: Metric,
                 panel.set_ylabel(method, fontsize=9, color=_color(row), fontweight="bold")
     _errors(figure.add_subplot(grid[:, 3]), scenario, rollouts, metric, fitted)
     figure.supxlabel("grey: recorded points, colour: the twin's surface, crosses: hands or driven markers", fontsize=7.5, x=0.01, ha="left")
+    save(figure, path)
+
+
+def save(figure, path: Path) -> None:
+    """Write a figure of matplotlib in one rename, of the kind that the name ends in."""
     with replacing(Path(path)) as temporary:
         figure.savefig(temporary, format=_kind(path))
 
