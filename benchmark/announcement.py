@@ -34,7 +34,8 @@ def announce(studies: Sequence[Study]) -> None:
 def announcement(studies: Sequence[Study]) -> list[str]:
     """What will be run, how long that takes, and what is missing, in sentences.
 
-    Recordings are read for the last, once each, unless all twins are remembered. Raises ValueError where the device is not there.
+    To know what is missing, each recording is read once; where all twins are in the cache, nothing is. Raises ValueError where the device
+    is not there.
     """
     device = studies[0].options["device"]
     said = [f"On {device_name(device)}, preset {studies[0].budget}:", *(line for study in studies for line in _planned(study))]
