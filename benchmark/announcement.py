@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -224,15 +223,11 @@ def _about_data(collection: Collection, seen: _Seen, tasks: set[str]) -> list[st
 
 def _about_fits(collection: Collection, studies: Sequence[Study]) -> list[str]:
     """Which twins cannot be fitted on these recordings, and how many."""
-    skips = Counter(
-        (fit.method, fit.skip)
-        for study in studies
-        for found, fits in study.work
-        if found.collection is collection
-        for fit in fits
-        if fit.skip
-    )
-    return [f"{method}: no twin for {count} recordings: {reason}" for (method, reason), count in skips.items()]
+    skips: dict[str, list[str]] = {}
+    for study in studies:
+        for fit in (fit for found, fits in study.work if found.collection is collection for fit in fits if fit.skip):
+            skips.setdefault(fit.method, []).append(fit.skip)
+    return [f"{method}: no twin for {len(why)} recordings: {_some(list(dict.fromkeys(why)))}" for method, why in skips.items()]
 
 
 def _some(names: Sequence[str], most: int = 3) -> str:
