@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -34,7 +33,8 @@ def announce(studies: Sequence[Study]) -> None:
 def announcement(studies: Sequence[Study]) -> list[str]:
     """What will be run, how long that takes, and what is missing, in sentences.
 
-    Recordings are read for the last, once each, unless all twins are remembered. Raises ValueError where the device is not there.
+    To know what is missing, each recording is read once; where all twins are in the cache, nothing is. Raises ValueError where the device
+    is not there.
     """
     device = studies[0].options["device"]
     said = [f"On {device_name(device)}, preset {studies[0].budget}:", *(line for study in studies for line in _planned(study))]
@@ -223,15 +223,11 @@ def _about_data(collection: Collection, seen: _Seen, tasks: set[str]) -> list[st
 
 def _about_fits(collection: Collection, studies: Sequence[Study]) -> list[str]:
     """Which twins cannot be fitted on these recordings, and how many."""
-    skips = Counter(
-        (fit.method, fit.skip)
-        for study in studies
-        for found, fits in study.work
-        if found.collection is collection
-        for fit in fits
-        if fit.skip
-    )
-    return [f"{method}: no twin for {count} recordings: {reason}" for (method, reason), count in skips.items()]
+    skips: dict[str, list[str]] = {}
+    for study in studies:
+        for fit in (fit for found, fits in study.work if found.collection is collection for fit in fits if fit.skip):
+            skips.setdefault(fit.method, []).append(fit.skip)
+    return [f"{method}: no twin for {len(why)} recordings: {_some(list(dict.fromkeys(why)))}" for method, why in skips.items()]
 
 
 def _some(names: Sequence[str], most: int = 3) -> str:

@@ -132,7 +132,6 @@ def _rolled(clock: Clock, name: str, twin, scenario):
 
 def phystwin(clock: Clock, scenario, size: Size) -> None:
     """Both stages; the first-order stage alone where there is no CMA-ES."""
-    from ..methods.phystwin.config import SEARCHED
     from ..methods.registry import get_method
 
     clock.part = "phystwin"
@@ -147,7 +146,7 @@ def phystwin(clock: Clock, scenario, size: Size) -> None:
     clock("PhysTwin, kernels (compiled once on a machine)", warm, times=0)
     watch = Watch(clock)
     twin = method.fitted([observed], config, seed=0, device=clock.device, progress=watch)
-    population = config.population or 4 + int(3 * np.log(len(SEARCHED)))  # the default of CMA-ES
+    population = config.population or 11  # the default of CMA-ES for the twelve parameters
     springs = f"{len(twin.body.springs) + len(twin.body.pulls)} springs"
     stages = {"zero": ("zero-order", config.iterations, full.iterations), "first": ("first-order", config.epochs, full.epochs)}
     for i, stage in enumerate(method.stages):
@@ -166,7 +165,7 @@ def gs_dynamics(clock: Clock, scenario, size: Size) -> None:
     from ..methods.registry import get_method
 
     clock.part = "gs-dynamics"
-    full = get_method("gs-dynamics-as-published").presets[size.preset]
+    full = get_method("gs-dynamics-as-published").config(size.preset, scenario.observed())
     method, watch = _variant("gs-dynamics-as-published", {"iterations": size.updates + 1}), Watch(clock)
     twin = method.fit([scenario.observed()], budget=Budget(size.preset), device=clock.device, progress=watch)
     seconds, done = watch.whole(size.updates + 1, full.iterations)

@@ -12,7 +12,6 @@ SOURCE = "results/full_size.md"
 # s for one fit, by device and method; what is not here was not measured
 FIT_SECONDS = {
     "cuda": {
-        "gs-dynamics": 650.0,  # 7.8 s for 60 of its 5,000 updates
         "phystwin-as-published": 103.4,
     },
 }

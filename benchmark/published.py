@@ -172,9 +172,11 @@ def write_published(results: Results, folder: Path) -> list[Path]:
         "csv": lambda path: _csv(found, path),
         "tex": lambda path: path.write_text(_latex(found), encoding="utf-8"),
     }
-    if not undrawable():
-        writers["png"] = lambda path: draw(found, path)
-    for kind, write in writers.items():
-        with replacing(Path(folder) / f"published.{kind}") as temporary:
+    written = [Path(folder) / f"published.{kind}" for kind in writers]
+    for path, write in zip(written, writers.values(), strict=True):
+        with replacing(path) as temporary:
             write(temporary)
-    return [Path(folder) / f"published.{kind}" for kind in writers]
+    if not undrawable():
+        written.append(Path(folder) / "published.png")
+        draw(found, written[-1])
+    return written

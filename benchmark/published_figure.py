@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .picture import blank_figure
+from .picture import blank_figure, save
 
 if TYPE_CHECKING:
     from .published import Figure
@@ -31,7 +31,7 @@ def undrawable() -> str:
 
 
 def draw(found: Sequence[Figure], path: Path) -> None:
-    """Write all figures to ``path`` as PNG. Raises ValueError without matplotlib."""
+    """Write all figures to ``path``. Raises ValueError without matplotlib."""
     rows = list(dict.fromkeys((one.collection, one.task) for one in found))
     metrics = list(dict.fromkeys(one.metric for one in found))
     made = blank_figure(2.6 * len(metrics) + 0.4, 2.5 * len(rows) + 0.5)
@@ -41,7 +41,7 @@ def draw(found: Sequence[Figure], path: Path) -> None:
             here = [one for one in found if (one.collection, one.task) == place and one.metric == metric]
             _panel(grid[row, column], here, title=f"{metric}{_unit(here)}", ylabel="" if column else ", ".join(place))
     made.legend(*_handles(grid[0, 0]), loc="outside lower center", ncols=len(MARKS), fontsize=8, frameon=False)
-    made.savefig(path, format="png")
+    save(made, path)
 
 
 def _unit(here: Sequence[Figure]) -> str:

@@ -238,6 +238,15 @@ def test_variants_that_make_one_twin_are_counted_once(cases, monkeypatch):
     ]
 
 
+def test_what_no_twin_is_fitted_of_is_said_once_a_method(cases):
+    (study,) = studies(str(cases), ablation="clips-as-published", metrics=["chamfer"], tasks=["prediction"])
+    said = [line for line in announcement([study]) if "no twin" in line]
+    # an object that was recorded twice: five, ten and thirty recordings of it are not there
+    assert said == [
+        f"- thing: gs-dynamics-as-published ({n} clips): no twin for 2 recordings: the object was recorded 2 times" for n in (5, 10, 30)
+    ]
+
+
 @dataclass(frozen=True)
 class Breaks:
     """A method that cannot be made."""

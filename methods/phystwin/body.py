@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,17 +85,17 @@ class Motion:
     diverged: int
 
 
-def build(values: dict[str, float], place: Place, added: Sequence[Term] = (), *, neighbours: Neighbours | None = None) -> Body:
+def build(values: dict[str, float], place: Place, added: Sequence[Term] = (), *, springs: Callable | None = None) -> Body:
     """A homogeneous body: topology and stiffness from the searched parameters, and what share of its amplitude ``added`` physics has.
 
-    ``neighbours`` of the place's structure, where they are known already, spare the search.
+    ``springs`` of the place's structure, where its neighbours are known already (``physics.topology.Neighbours``), spare the search.
     """
     asked = {"radius": values["object_radius"], "max_neighbours": int(values["object_max_neighbours"])}
-    springs = neighbours.springs(**asked) if neighbours else object_springs(place.structure, **asked)
+    found = springs(**asked) if springs else object_springs(place.structure, **asked)
     pulls = hand_springs(values, place)
-    stiffness, pull = (np.full(len(s), values["global_spring_Y"]) for s in (springs, pulls))
+    stiffness, pull = (np.full(len(s), values["global_spring_Y"]) for s in (found, pulls))
     scaled = tuple(_scaled(term, values.get(ADDED_SHARE.name, 1.0)) for term in added)
-    return Body(springs, stiffness, pulls, pull, dict(values), place.structure, scaled)
+    return Body(found, stiffness, pulls, pull, dict(values), place.structure, scaled)
 
 
 def _scaled(term: Term, share: float) -> Term:

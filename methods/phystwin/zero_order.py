@@ -57,11 +57,11 @@ def search(
     if config.population:
         options["popsize"] = config.population
     strategy = cma.CMAEvolutionStrategy(start, SIGMA, options)
-    best = (np.inf if config.quirks.unscored_start else costs([base], places, losses, config, device, added, known)[0], base)
+    best = (np.inf if config.quirks.unscored_start else costs([base], places, losses, config, device, added, known.springs)[0], base)
     for generation in range(config.iterations):
         units = strategy.ask()
         candidates = [decode(u) for u in units]
-        found = costs(candidates, places, losses, config, device, added, known)
+        found = costs(candidates, places, losses, config, device, added, known.springs)
         strategy.tell(units, found)
         best = min([best, *zip(found, candidates, strict=True)], key=lambda pair: pair[0])
         if progress:
@@ -69,9 +69,9 @@ def search(
     return best[1]
 
 
-def costs(candidates, places, losses, config, device, added=(), neighbours=None) -> list[float]:
+def costs(candidates, places, losses, config, device, added=(), springs=None) -> list[float]:
     """Mean loss over recordings of homogeneous bodies with each candidate's parameters."""
-    first = [build(values, places[0], added, neighbours=neighbours) for values in candidates]
+    first = [build(values, places[0], added, springs=springs) for values in candidates]
     bodies = [[body, *(regrip(body, place) for place in places[1:])] for body in first]
     return open_loop_costs(bodies, places, losses, config, device)
 
