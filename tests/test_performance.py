@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from twinbench.benchmark.performance import block, collided, near_of
 from twinbench.benchmark.reference_engine import ReferenceEngine
-from twinbench.methods.phystwin.config import CONTACT
+from twinbench.methods.phystwin.ranges import CONTACT
 from twinbench.physics.batch import Batch
 
 SUBSTEPS, DT = 30, 5e-5

@@ -241,7 +241,7 @@ class Touch(Term):
         ("terms must be a list of terms, got None", None),
         ("terms must each be listed once, got springs 2 times", [Springs(), Gravity(), Springs()]),
         ("parameter names must be unique in a system, got gravity_x in both gravity and wind", [Gravity(), Wind()]),
-        ("term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, hinge, facet, body", [Misplaced()]),
+        ("term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, hinge, facet, solid", [Misplaced()]),
     ],
 )
 def test_terms(text, terms):

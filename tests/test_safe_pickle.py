@@ -333,7 +333,7 @@ def test_lists_of_numbers_become_an_array():
     for value, said in (
         ([[1.0], "x" * 1000], "lists of them, got a str"),
         ([[1.0], {}], "lists of them, got a dict"),
-        ([[1.0], None], "lists of them, got a NoneType"),
+        ([[1.0], None], "lists of them, got None"),
         ([np.array([None])], "lists of them, got one of type object"),
         ([[1.0], [1.0, 2.0]], "lists of equally many numbers"),
         ([10**30], "array of numbers, got one of type object"),

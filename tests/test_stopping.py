@@ -84,7 +84,7 @@ def test_processes_end_with_whoever_started_them(tmp_path):
 def test_a_process_that_is_ended_by_somebody_else_is_an_error_with_a_reason():
     from twinbench.benchmark.processes import workers
 
-    with pytest.raises(OSError, match="ended from outside, most likely for want of memory"), workers(1) as pool:
+    with pytest.raises(OSError, match="was ended from outside"), workers(1) as pool:
         pool.submit(signal.raise_signal, signal.SIGKILL).result()
 
 

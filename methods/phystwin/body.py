@@ -14,7 +14,7 @@ from ...physics.stability import stable_substeps
 from ...physics.system import System
 from ...physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
 from ...physics.terms.base import Term
-from ...physics.topology import Neighbours, controller_springs, object_springs
+from ...physics.topology import controller_springs, object_springs
 from .config import Config
 from .ranges import ADDED_SHARE, CONTACT
 
