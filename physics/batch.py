@@ -169,6 +169,9 @@ class Batch:
         self.constants |= {k: self._real(v) for k, v in {**real, **solid}.items()}
         self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
+        ends = bent["ends"]  # of what a segment's roll gives to the hinge before it, and after: where it stands, and whose it is
+        joined = [np.flatnonzero(ends[:, side] >= 0) for side in (0, 1)]
+        self.rolled = [(self._ints(2 * s + side).long(), self._ints(ends[s, side]).long()) for side, s in enumerate(joined)]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()

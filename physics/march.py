@@ -207,9 +207,9 @@ class Adjoint(Carrier):
         for stage, part in parts.items():
             first = batch.laws.start(stage)
             table[:, first : first + part.shape[1]] = part
-        ends = batch.constants["ends"].flatten().long()
-        for name in ("natural", "flexure"):
-            t[name].index_add_(0, ends.clamp(min=0), t[f"rolled_{name}"])  # that of no hinge is 0
+        for rolled, hinges in batch.rolled:  # no hinge twice in one of them, so that sums repeat to the last bit
+            for name in ("natural", "flexure"):
+                t[name][hinges] += t[f"rolled_{name}"][rolled]
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = t["memory"][batch.lower_end]

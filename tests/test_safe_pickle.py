@@ -321,7 +321,7 @@ def test_an_array_is_an_array_of_numbers():
         ([[1.0]], "a list"),
         (np.array(["a"]), "one of type <U1"),
         (np.array([None]), "one of type object"),
-        (None, "a NoneType"),
+        (None, "None"),
     ):
         with pytest.raises(ValueError, match=f"^a.pkl: points must be an array of numbers, got {got}"):
             safe_pickle.array_of(value, "a.pkl", "points")
