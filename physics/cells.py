@@ -116,7 +116,10 @@ def cell_functions(kit):
 
 
 def make_cells(kit):
-    """(strain, drag, squeezed): a cell's elastic and damping forces on its corners, and what a node gets of them."""
+    """(strain, drag, squeezed): a cell's elastic and damping forces on its corners, and what a node gets of them.
+
+    Loops over points and corners ask the arrays how many there are: Warp would write out one whose length it knows, eight times the code.
+    """
     R, vec, mat, World = kit.R, kit.vec, kit.mat, kit.World
     ps, pv, get_x = kit.vectors["solid"], kit.vectors["viscous"], kit.get_x
     solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
@@ -133,7 +136,7 @@ def make_cells(kit):
         g3 = back * t3
         g4 = back * t4
         whole = first - wp.outer(g1, q1) - wp.outer(g2, q2) - wp.outer(g3, q3) - wp.outer(g4, q4)
-        for a in range(8):
+        for a in range(w.cell.shape[1]):
             w.squeeze[c, a] = -spread(a, whole, g1, g2, g3, g4, half)
 
     @wp.func
@@ -164,7 +167,7 @@ def make_cells(kit):
         t2 = vec()
         t3 = vec()
         t4 = vec()
-        for k in range(8):
+        for k in range(w.points.shape[1]):
             point = w.points[c, k]
             whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
             stress = solid(first * whole, p) * weight
@@ -219,7 +222,7 @@ def make_cells(kit):
         t2 = vec()
         t3 = vec()
         t4 = vec()
-        for k in range(8):
+        for k in range(w.points.shape[1]):
             point = w.points[c, k]
             whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
             rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
@@ -358,7 +361,7 @@ def make_back_cells(kit):
         gp = ps()
         none = mat()
         zero = vec()
-        for k in range(8):
+        for k in range(w.points.shape[1]):
             point = w.points[c, k]
             whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
             f = first * whole
@@ -374,7 +377,7 @@ def make_back_cells(kit):
             b4 += h4
             on_lateral += hl
             gp += hp
-        for j in range(8):
+        for j in range(w.cell.shape[1]):
             a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, half) * weight
         if a.wants_table > 0:
             give_solid(a.solid, c, (gp + narrowing * on_lateral) * weight)
@@ -434,7 +437,7 @@ def make_back_cells(kit):
         v4 = vec()
         on_lateral = R(0.0)
         gp = pv()
-        for k in range(8):
+        for k in range(w.points.shape[1]):
             point = w.points[c, k]
             whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
             f = first * whole
@@ -456,7 +459,7 @@ def make_back_cells(kit):
             v4 += u4
             on_lateral += hl
             gp += hp
-        for j in range(8):
+        for j in range(w.cell.shape[1]):
             a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, half) * weight
             a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, half) * weight
         if a.wants_table > 0:
