@@ -169,9 +169,9 @@ class Batch:
         self.constants |= {k: self._real(v) for k, v in {**real, **solid}.items()}
         self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
-        ends = bent["ends"]  # of what a segment's roll gives to the hinge before it, and after: where it stands, and whose it is
-        joined = [np.flatnonzero(ends[:, side] >= 0) for side in (0, 1)]
-        self.rolled = [(self._ints(2 * s + side).long(), self._ints(ends[s, side]).long()) for side, s in enumerate(joined)]
+        # of what a segment's roll gives to the hinge before it, and after: where it stands, and whose it is
+        around = [(2 * s + side, bent["ends"][s, side]) for side in (0, 1) for s in [np.flatnonzero(bent["ends"][:, side] >= 0)]]
+        self.rolled = [(self._ints(rows).long(), self._ints(hinges).long()) for rows, hinges in around]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
