@@ -44,8 +44,8 @@ def reach(rounds: int) -> float:
 
 
 def cell_functions(kit):
-    """(gather, bent, spread): what both ways share."""
-    R, vec, mat = kit.R, kit.vec, kit.mat
+    """(bent, unbent, moments, spread, places, speeds): what both ways share."""
+    R, vec, mat, World, get_x = kit.R, kit.vec, kit.mat, kit.World, kit.get_x
 
     @wp.func
     def bent(q1: vec, q2: vec, q3: vec, q4: vec, at: vec, half: vec, lateral: R):
@@ -112,7 +112,40 @@ def cell_functions(kit):
         along = first * vec(s / half[0], t / half[1], u / half[2])
         return (along + g1 * (t * u) + g2 * (u * s) + g3 * (s * t) + g4 * (s * t * u)) * R(0.125)
 
-    return bent, unbent, moments, spread
+    @wp.func
+    def places(w: World, slot: int, c: int, half: vec):
+        """(F_0, g_1 to g_4) of the corners of cell ``c``."""
+        at = slot * w.nodes
+        f, g1, g2, g3, g4 = moments(
+            get_x(w.state, at + w.cell[c, 0]),
+            get_x(w.state, at + w.cell[c, 1]),
+            get_x(w.state, at + w.cell[c, 2]),
+            get_x(w.state, at + w.cell[c, 3]),
+            get_x(w.state, at + w.cell[c, 4]),
+            get_x(w.state, at + w.cell[c, 5]),
+            get_x(w.state, at + w.cell[c, 6]),
+            get_x(w.state, at + w.cell[c, 7]),
+            half,
+        )
+        return f, g1, g2, g3, g4
+
+    @wp.func
+    def speeds(w: World, row: int, r: int, c: int, half: vec):
+        """The same of their velocities before round ``r``."""
+        m, m1, m2, m3, m4 = moments(
+            w.eased[row, r, w.cell[c, 0]],
+            w.eased[row, r, w.cell[c, 1]],
+            w.eased[row, r, w.cell[c, 2]],
+            w.eased[row, r, w.cell[c, 3]],
+            w.eased[row, r, w.cell[c, 4]],
+            w.eased[row, r, w.cell[c, 5]],
+            w.eased[row, r, w.cell[c, 6]],
+            w.eased[row, r, w.cell[c, 7]],
+            half,
+        )
+        return m, m1, m2, m3, m4
+
+    return bent, unbent, moments, spread, places, speeds
 
 
 def make_cells(kit):
@@ -121,9 +154,9 @@ def make_cells(kit):
     Loops over points and corners ask the arrays how many there are: Warp would write out one whose length it knows, eight times the code.
     """
     R, vec, mat, World = kit.R, kit.vec, kit.mat, kit.World
-    ps, pv, get_x = kit.vectors["solid"], kit.vectors["viscous"], kit.get_x
+    ps, pv = kit.vectors["solid"], kit.vectors["viscous"]
     solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
-    bent, unbent, moments, spread = cell_functions(kit)
+    bent, unbent, _moments, spread, places, speeds = cell_functions(kit)
 
     @wp.func
     def leave(
@@ -142,19 +175,8 @@ def make_cells(kit):
     @wp.func
     def strain(w: World, slot: int, b: int, c: int, p: ps):
         """Leave the elastic forces of cell ``c`` on its corners."""
-        at = slot * w.nodes
         half = w.half[b]
-        first, g1, g2, g3, g4 = moments(
-            get_x(w.state, at + w.cell[c, 0]),
-            get_x(w.state, at + w.cell[c, 1]),
-            get_x(w.state, at + w.cell[c, 2]),
-            get_x(w.state, at + w.cell[c, 3]),
-            get_x(w.state, at + w.cell[c, 4]),
-            get_x(w.state, at + w.cell[c, 5]),
-            get_x(w.state, at + w.cell[c, 6]),
-            get_x(w.state, at + w.cell[c, 7]),
-            half,
-        )
+        first, g1, g2, g3, g4 = places(w, slot, c, half)
         inverse = wp.inverse(first)
         q1 = inverse * g1
         q2 = inverse * g2
@@ -182,30 +204,9 @@ def make_cells(kit):
     @wp.func
     def drag(w: World, slot: int, row: int, r: int, b: int, c: int, p: ps, p_viscous: pv):
         """Leave the damping forces of cell ``c`` on its corners, at the velocities before round ``r``."""
-        at = slot * w.nodes
         half = w.half[b]
-        first, g1, g2, g3, g4 = moments(
-            get_x(w.state, at + w.cell[c, 0]),
-            get_x(w.state, at + w.cell[c, 1]),
-            get_x(w.state, at + w.cell[c, 2]),
-            get_x(w.state, at + w.cell[c, 3]),
-            get_x(w.state, at + w.cell[c, 4]),
-            get_x(w.state, at + w.cell[c, 5]),
-            get_x(w.state, at + w.cell[c, 6]),
-            get_x(w.state, at + w.cell[c, 7]),
-            half,
-        )
-        moved, m1, m2, m3, m4 = moments(
-            w.eased[row, r, w.cell[c, 0]],
-            w.eased[row, r, w.cell[c, 1]],
-            w.eased[row, r, w.cell[c, 2]],
-            w.eased[row, r, w.cell[c, 3]],
-            w.eased[row, r, w.cell[c, 4]],
-            w.eased[row, r, w.cell[c, 5]],
-            w.eased[row, r, w.cell[c, 6]],
-            w.eased[row, r, w.cell[c, 7]],
-            half,
-        )
+        first, g1, g2, g3, g4 = places(w, slot, c, half)
+        moved, m1, m2, m3, m4 = speeds(w, row, r, c, half)
         inverse = wp.inverse(first)
         q1 = inverse * g1
         q2 = inverse * g2
@@ -249,10 +250,10 @@ def make_cells(kit):
 def make_back_cells(kit):
     """(back_strain, back_drag, resqueezed): the adjoints of a cell's elastic and damping forces, and what a node gets of them."""
     R, vec, mat, World, Adjoint = kit.R, kit.vec, kit.mat, kit.World, kit.Adjoint
-    ps, pv, get_x = kit.vectors["solid"], kit.vectors["viscous"], kit.get_x
+    ps, pv = kit.vectors["solid"], kit.vectors["viscous"]
     solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
     give_solid, give_viscous = kit.give_all["solid"], kit.give_all["viscous"]
-    bent, _unbent, moments, spread = cell_functions(kit)
+    bent, _unbent, moments, spread, places, speeds = cell_functions(kit)
 
     @wp.func
     def solid_dot(f: mat, p: ps, d: mat):
@@ -309,27 +310,11 @@ def make_back_cells(kit):
         return wp.ddot(first * whole, on_f) + wp.ddot(rate, on_rate) + wp.ddot(d, on_d)
 
     @wp.func
-    def corners_of(w: World, slot: int, c: int, half: vec):
-        at = slot * w.nodes
-        f, g1, g2, g3, g4 = moments(
-            get_x(w.state, at + w.cell[c, 0]),
-            get_x(w.state, at + w.cell[c, 1]),
-            get_x(w.state, at + w.cell[c, 2]),
-            get_x(w.state, at + w.cell[c, 3]),
-            get_x(w.state, at + w.cell[c, 4]),
-            get_x(w.state, at + w.cell[c, 5]),
-            get_x(w.state, at + w.cell[c, 6]),
-            get_x(w.state, at + w.cell[c, 7]),
-            half,
-        )
-        return f, g1, g2, g3, g4
-
-    @wp.func
     def back_strain(w: World, a: Adjoint, slot: int, b: int, c: int, p: ps):
         """Leave the adjoint of the elastic forces of cell ``c`` at its corners."""
         narrowing = wp.grad(lateral_of)(p)  # first: see ``backward`` on the order
         half = w.half[b]
-        first, g1, g2, g3, g4 = corners_of(w, slot, c, half)
+        first, g1, g2, g3, g4 = places(w, slot, c, half)
         tried, d1, d2, d3, d4 = moments(
             a.force[slot % 2, w.cell[c, 0]],
             a.force[slot % 2, w.cell[c, 1]],
@@ -387,18 +372,8 @@ def make_back_cells(kit):
         """Leave the adjoint of round ``r``'s damping forces of cell ``c`` at its corners, of their x and of their v."""
         narrowing = wp.grad(lateral_of)(p)
         half = w.half[b]
-        first, g1, g2, g3, g4 = corners_of(w, slot, c, half)
-        moved, m1, m2, m3, m4 = moments(
-            w.eased[slot, r, w.cell[c, 0]],
-            w.eased[slot, r, w.cell[c, 1]],
-            w.eased[slot, r, w.cell[c, 2]],
-            w.eased[slot, r, w.cell[c, 3]],
-            w.eased[slot, r, w.cell[c, 4]],
-            w.eased[slot, r, w.cell[c, 5]],
-            w.eased[slot, r, w.cell[c, 6]],
-            w.eased[slot, r, w.cell[c, 7]],
-            half,
-        )
+        first, g1, g2, g3, g4 = places(w, slot, c, half)
+        moved, m1, m2, m3, m4 = speeds(w, slot, r, c, half)
         tried, d1, d2, d3, d4 = moments(
             a.eased[w.cell[c, 0]],
             a.eased[w.cell[c, 1]],
