@@ -12,11 +12,11 @@ import re
 
 import warp as wp
 
-from ..datasets.plugins import Kind, Origin, discover, unknown
+from ..datasets.plugins import Kind, Origin, discover
 from .parameters import Parameter
 from .terms.base import ARGUMENTS, STAGES, Effect, Term
 
-__all__ = ["KIND", "get_term", "terms"]
+__all__ = ["KIND", "terms"]
 
 RIVALS = ("move", "contact")  # stages that take one term: two of them never meet in one table, so they may share names of parameters
 NAME = re.compile("[a-z][a-z0-9_]*")
@@ -96,11 +96,3 @@ KIND = Kind("term", "twinbench.terms", ("physics/terms",), ("TERM", "TERMS"), Te
 def terms() -> dict[str, type[Term]]:
     """Every term by name: ours, then those of other packages."""
     return dict(discover(KIND).things)
-
-
-def get_term(name: str) -> type[Term]:
-    """The term called ``name``. An unknown name raises ValueError with the nearest known one."""
-    known = terms()
-    if name not in known:
-        raise unknown("term", name, known)
-    return known[name]

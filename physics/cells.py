@@ -44,8 +44,13 @@ def reach(rounds: int) -> float:
 
 
 def cell_functions(kit):
-    """(bent, unbent, moments, spread, places, speeds): what both ways share."""
+    """(pulled, bent, unbent, moments, spread, places, speeds): what both ways share."""
     R, vec, mat, World, get_x = kit.R, kit.vec, kit.mat, kit.World, kit.get_x
+
+    @wp.func
+    def pulled(inverse: mat, g1: vec, g2: vec, g3: vec, g4: vec):
+        """g_1 to g_4 as the material sees them."""
+        return inverse * g1, inverse * g2, inverse * g3, inverse * g4
 
     @wp.func
     def bent(q1: vec, q2: vec, q3: vec, q4: vec, at: vec, half: vec, lateral: R):
@@ -145,7 +150,7 @@ def cell_functions(kit):
         )
         return m, m1, m2, m3, m4
 
-    return bent, unbent, moments, spread, places, speeds
+    return pulled, bent, unbent, moments, spread, places, speeds
 
 
 def make_cells(kit):
@@ -156,7 +161,7 @@ def make_cells(kit):
     R, vec, mat, World = kit.R, kit.vec, kit.mat, kit.World
     ps, pv = kit.vectors["solid"], kit.vectors["viscous"]
     solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
-    bent, unbent, _moments, spread, places, speeds = cell_functions(kit)
+    pulled, bent, unbent, _moments, spread, places, speeds = cell_functions(kit)
 
     @wp.func
     def leave(
@@ -178,10 +183,7 @@ def make_cells(kit):
         half = w.half[b]
         first, g1, g2, g3, g4 = places(w, slot, c, half)
         inverse = wp.inverse(first)
-        q1 = inverse * g1
-        q2 = inverse * g2
-        q3 = inverse * g3
-        q4 = inverse * g4
+        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
         lateral = contraction(p)
         weight = w.cell_volume[c] * R(0.125)
         on_first = mat()
@@ -208,14 +210,8 @@ def make_cells(kit):
         first, g1, g2, g3, g4 = places(w, slot, c, half)
         moved, m1, m2, m3, m4 = speeds(w, row, r, c, half)
         inverse = wp.inverse(first)
-        q1 = inverse * g1
-        q2 = inverse * g2
-        q3 = inverse * g3
-        q4 = inverse * g4
-        n1 = inverse * (m1 - moved * q1)
-        n2 = inverse * (m2 - moved * q2)
-        n3 = inverse * (m3 - moved * q3)
-        n4 = inverse * (m4 - moved * q4)
+        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
+        n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
         lateral = contraction(p)
         weight = w.cell_volume[c] * R(0.125)
         on_first = mat()
@@ -253,7 +249,7 @@ def make_back_cells(kit):
     ps, pv = kit.vectors["solid"], kit.vectors["viscous"]
     solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
     give_solid, give_viscous = kit.give_all["solid"], kit.give_all["viscous"]
-    bent, _unbent, moments, spread, places, speeds = cell_functions(kit)
+    pulled, bent, _unbent, moments, spread, places, speeds = cell_functions(kit)
 
     @wp.func
     def solid_dot(f: mat, p: ps, d: mat):
@@ -292,19 +288,10 @@ def make_back_cells(kit):
         on_d: mat,
     ):
         inverse = wp.inverse(first)
-        q1 = inverse * g1
-        q2 = inverse * g2
-        q3 = inverse * g3
-        q4 = inverse * g4
+        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
         whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
-        n1 = inverse * (m1 - moved * q1)
-        n2 = inverse * (m2 - moved * q2)
-        n3 = inverse * (m3 - moved * q3)
-        n4 = inverse * (m4 - moved * q4)
-        e1 = inverse * (d1 - tried * q1)
-        e2 = inverse * (d2 - tried * q2)
-        e3 = inverse * (d3 - tried * q3)
-        e4 = inverse * (d4 - tried * q4)
+        n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
+        e1, e2, e3, e4 = pulled(inverse, d1 - tried * q1, d2 - tried * q2, d3 - tried * q3, d4 - tried * q4)
         rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
         d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
         return wp.ddot(first * whole, on_f) + wp.ddot(rate, on_rate) + wp.ddot(d, on_d)
@@ -327,14 +314,8 @@ def make_back_cells(kit):
             half,
         )
         inverse = wp.inverse(first)
-        q1 = inverse * g1
-        q2 = inverse * g2
-        q3 = inverse * g3
-        q4 = inverse * g4
-        e1 = inverse * (d1 - tried * q1)
-        e2 = inverse * (d2 - tried * q2)
-        e3 = inverse * (d3 - tried * q3)
-        e4 = inverse * (d4 - tried * q4)
+        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
+        e1, e2, e3, e4 = pulled(inverse, d1 - tried * q1, d2 - tried * q2, d3 - tried * q3, d4 - tried * q4)
         lateral = contraction(p)
         weight = -w.cell_volume[c] * R(0.125)
         on_first = mat()
@@ -386,18 +367,9 @@ def make_back_cells(kit):
             half,
         )
         inverse = wp.inverse(first)
-        q1 = inverse * g1
-        q2 = inverse * g2
-        q3 = inverse * g3
-        q4 = inverse * g4
-        n1 = inverse * (m1 - moved * q1)
-        n2 = inverse * (m2 - moved * q2)
-        n3 = inverse * (m3 - moved * q3)
-        n4 = inverse * (m4 - moved * q4)
-        e1 = inverse * (d1 - tried * q1)
-        e2 = inverse * (d2 - tried * q2)
-        e3 = inverse * (d3 - tried * q3)
-        e4 = inverse * (d4 - tried * q4)
+        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
+        n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
+        e1, e2, e3, e4 = pulled(inverse, d1 - tried * q1, d2 - tried * q2, d3 - tried * q3, d4 - tried * q4)
         lateral = contraction(p)
         weight = -w.cell_volume[c] * R(0.125) * share
         on_first = mat()
