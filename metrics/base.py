@@ -133,9 +133,7 @@ class Positions:
 
 
 @overload
-def score(
-    metric: Metric | str, prediction: Prediction | np.ndarray, scenario: Scenario, frames: Sequence[int] | None = None
-) -> Score: ...
+def score(metric: Metric | str, prediction: Prediction | np.ndarray, scenario: Scenario, frames: Sequence[int] | None = None) -> Score: ...
 @overload
 def score(
     metric: Sequence[Metric | str], prediction: Prediction | np.ndarray, scenario: Scenario, frames: Sequence[int] | None = None

@@ -18,6 +18,7 @@ from .cells import make_back_cells
 from .finding import lowest
 from .forward import HELD_MASS, node_functions, recalling, sighting
 from .native import barrier
+from .outside import make_back_outside
 from .paths import give_path, give_speed, speed
 from .rods_back import make_back_rods
 from .skin import make_back_skin
@@ -35,6 +36,9 @@ def make_backward(kit):
     load_viscous, load_body, load_observer, load_velocity = (load[s] for s in ("viscous", "body", "observer", "velocity"))
     load_contact, load_move = load["contact"], load["move"]
     skinned, filled, easing = kit.skinned, kit.filled, kit.easing
+    pointed = kit.pointed
+    load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
+    back_meet, remet = make_back_outside(kit) if pointed else (None, None)
     back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (None, None, None)
     back_press, grown, back_pressed = make_back_skin(kit) if skinned else (None, None, None)
     back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
@@ -78,6 +82,9 @@ def make_backward(kit):
         p_solid = load_solid(w.table, b)
         p_viscous = load_viscous(w.table, b)
         p_body = load_body(w.table, b)
+        p_surface = load_surface(w.table, b)
+        p_touch = load_touch(w.table, b)
+        p_grip = load_grip(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
@@ -112,6 +119,12 @@ def make_backward(kit):
                 if k < count and w.cell_start[b + 1] > w.cell_start[b]:
                     for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
                         back_strain(w, a, k, b, c, p_solid)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            if wp.static(pointed):
+                if k < count:
+                    for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
+                        back_meet(w, a, k, q, dt, p_body, p_surface, p_touch, p_grip)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             swelled = R(0.0)
@@ -177,6 +190,11 @@ def make_backward(kit):
                 if wp.static(filled):
                     if k < count:
                         gx += resqueezed(w, a, i, 0)
+                if wp.static(pointed):
+                    if k < count:
+                        mx, mv = remet(w, a, i)
+                        gx += mx
+                        gv += mv
                 if wp.static(hinged):
                     hx, hv, later = regained(w, a, k, i, count)
                     gx += hx
@@ -265,7 +283,7 @@ def _back_push(kit):
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     pv, pb, po = kit.vectors["velocity"], kit.vectors["body"], kit.vectors["observer"]
     velocity, body, get_x, get_v, give = kit.laws.velocity, kit.laws.body, kit.get_x, kit.get_v, kit.give
-    watching, observer = kit.watching, kit.laws.observer
+    watching, observer, pointed = kit.watching, kit.laws.observer, kit.pointed
     give_velocity, give_body, give_observer = kit.give_all["velocity"], kit.give_all["body"], kit.give_all["observer"]
     sighted = sighting(kit)
 
@@ -304,7 +322,13 @@ def _back_push(kit):
         pushed = w.pushed[slot, i]
         gpush, _dt, gp, _g = wp.grad(velocity_dot)(pushed, dt, p_velocity, g)
         gf = gpush * (dt / m)
-        bx, bv, _bh, bm, bp, _bg = wp.grad(body_dot)(x, v, w.home[i], m, p_body, gf)
+        bx = vec()
+        bv = vec()
+        bm = R(0.0)
+        if wp.static(not pointed):
+            bx, bv, _bh, bm, bp, _bg = wp.grad(body_dot)(x, v, w.home[i], m, p_body, gf)
+            if a.wants_table > 0:
+                give_body(a.body, i, bp)
         if wp.static(watching):
             y, u, weight = sighted(w, i, frame, step, substeps, dt)
             if weight > R(0.0):
@@ -316,7 +340,6 @@ def _back_push(kit):
                     give_observer(a.observer, i, op)
         if a.wants_table > 0:
             give_velocity(a.velocity, i, gp)
-            give_body(a.body, i, bp)
         if a.wants_mass > 0:
             give(a.mass, i, bm - wp.dot(gpush, pushed - v) / m)
         a.force[slot % 2, i] = gf

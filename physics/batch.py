@@ -18,6 +18,7 @@ from .kernels import build
 from .laws import Laws
 from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .native import WARP
+from .outside import assemble_points
 from .resident import engine_for
 from .stability import stable_rounds, stable_substeps
 from .system import System
@@ -92,6 +93,7 @@ class Batch:
         self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
         self.remembering = bool(self.laws.stage("strand"))
         self.filled, self.easing = bool(self.laws.stage("solid")), bool(self.laws.stage("viscous"))
+        self.touching, self.pointed = bool(self.laws.stage("touch")), _have_points(systems, self.laws)
         if self.easing and self.colliding:
             raise ValueError("a system can have terms of the stage 'viscous' or of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
@@ -106,7 +108,7 @@ class Batch:
         self._assemble()
         # (blocks per system, threads per block, lanes per particle); a CPU team is one thread
         self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
-        self.kernels = build(self.laws, double, not cuda, self._team[2], self._team[1])
+        self.kernels = build(self.laws, double, not cuda, self._team[2], self._team[1], self.pointed)
         self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
         if self.twisting:
             self.inputs.directors = settled(self, self.inputs)
@@ -165,14 +167,18 @@ class Batch:
         cells = assemble_cells(systems, start, count, self.rounds.astype(int))
         self.cell_starts = cells["cell_start"]
         solid = {name: cells.pop(name) for name in ("points", "cell_volume", "half", "ease")}
+        points, outside = assemble_points(systems, start, [i[s.particle_count :] for i, s in zip(indices, systems, strict=True)], count)
+        self.point_starts = points["point_start"]
+        solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
         real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
         self.constants |= {k: self._real(v) for k, v in {**real, **solid}.items()}
-        self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells}.items()}
+        self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells, **points}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
         # of what a segment's roll gives to the hinge before it, and after: where it stands, and whose it is
         around = [(2 * s + side, bent["ends"][s, side]) for side in (0, 1) for s in [np.flatnonzero(bent["ends"][:, side] >= 0)]]
         self.rolled = [(self._ints(rows).long(), self._ints(hinges).long()) for rows, hinges in around]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
+        self.point_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.point_starts))).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
         self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
@@ -193,7 +199,7 @@ class Batch:
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
             memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
-            **{k: self._real(v) for k, v in hinged.items()},
+            **{k: self._real(v) for k, v in {**hinged, **outside}.items()},
         )
 
     def _watch(self, nodes):
@@ -276,9 +282,9 @@ class Batch:
         inputs = self.prepare(inputs)
         if self.resident and frames and (self.resident.fits_back or not self._asks_back(inputs)):
             out, x, v = self.resident.march(frame, frames, inputs)
-            return (out, x, v, Carried(inputs.memory, inputs.directors)) if whole else (out, x, v)
-        out, x, v, memory, directors = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
-        return (out, x, v, Carried(memory, directors)) if whole else (out, x, v)
+            return (out, x, v, Carried(inputs.memory, inputs.directors, inputs.anchor)) if whole else (out, x, v)
+        out, x, v, *carried = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+        return (out, x, v, Carried(*carried)) if whole else (out, x, v)
 
     def _asks_back(self, inputs):
         return torch.is_grad_enabled() and any(getattr(inputs, f.name).requires_grad for f in fields(Inputs))
@@ -332,6 +338,8 @@ class Batch:
             kept += 3 * len(self.inputs.directors)
         if self.easing:
             kept += self.node_count * 3 * (int(self.rounds.max()) + 1)
+        if self.touching:
+            kept += 3 * len(self.inputs.anchor)
         if self.remembering:
             kept += len(self.constants["spring"]) * self.laws.memories
         return kept * self.dtype.itemsize
@@ -361,6 +369,20 @@ class Batch:
         cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
         with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
             list(pool.map(go, cuts[:-1], cuts[1:]))
+
+
+def _have_points(systems, laws):
+    """Whether the systems have material points: all or none, and terms that need them, or cannot do with them, agree."""
+    have = [s.points is not None for s in systems]
+    if any(have) != all(have):
+        raise ValueError(f"all systems of a batch must have points or none, but system {have.index(not have[0])} is unlike system 0")
+    needing = [t.name for stage in ("surface", "touch", "grip") for t, _ in laws.stage(stage)]
+    if needing and not have[0]:
+        raise ValueError(f"a system with the term {needing[0]} must have material points")
+    if have[0] and laws.stage("move"):
+        name = laws.stage("move")[0][0].name
+        raise ValueError(f"a body with material points meets the ground by a term of the stage 'touch', and {name} moves its nodes")
+    return have[0]
 
 
 def _sorted_ends(here, other, count):

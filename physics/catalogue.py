@@ -14,11 +14,15 @@ import warp as wp
 
 from ..datasets.plugins import Kind, Origin, discover
 from .parameters import Parameter
-from .terms.base import ARGUMENTS, STAGES, Effect, Term
+from .terms.base import ARGUMENTS, REMEMBERING, STAGES, Effect, Term
 
 __all__ = ["KIND", "terms"]
 
-RIVALS = ("move", "contact")  # stages that take one term: two of them never meet in one table, so they may share names of parameters
+RIVALS = (
+    "move",
+    "contact",
+    "touch",
+)  # stages that take one term: two of them never meet in one table, so they may share names of parameters
 NAME = re.compile("[a-z][a-z0-9_]*")
 
 
@@ -39,7 +43,7 @@ def _check_name(of: str, name) -> None:
 
 
 def _check_law(term: type[Term]) -> None:
-    for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": term.stage == "strand"}.items():
+    for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": term.stage in REMEMBERING}.items():
         law = getattr(term, name)
         if not wanted and law is not None:
             raise ValueError(f"a term of stage {term.stage!r} has no {name}")

@@ -5,6 +5,7 @@ import warp as wp
 from .cells import make_cells
 from .finding import lowest
 from .native import barrier
+from .outside import make_outside
 from .paths import along, speed
 from .quads import QUAD
 from .rods import make_rods
@@ -81,6 +82,9 @@ def make_forward(kit):
     load_viscous, load_body, load_observer, load_velocity = (load[s] for s in ("viscous", "body", "observer", "velocity"))
     load_contact, load_move = load["contact"], load["move"]
     hinged, skinned, filled, easing = kit.hinged, kit.skinned, kit.filled, kit.easing
+    pointed = kit.pointed
+    load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
+    meet, met_points = make_outside(kit) if pointed else (None, None)
     strain, drag, squeezed = make_cells(kit) if filled or easing else (None, None, None)
     bulk, swollen, press, pressed = make_skin(kit) if skinned else (None, None, None, None)
     bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
@@ -157,6 +161,9 @@ def make_forward(kit):
         p_solid = load_solid(w.table, b)
         p_viscous = load_viscous(w.table, b)
         p_body = load_body(w.table, b)
+        p_surface = load_surface(w.table, b)
+        p_touch = load_touch(w.table, b)
+        p_grip = load_grip(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
@@ -200,6 +207,11 @@ def make_forward(kit):
                         strain(w, here, b, c, p_solid)
                     round += 1
                     barrier(w.counters, team, blocks, round)
+            if wp.static(pointed):
+                for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
+                    meet(w, here, there, q, dt, p_body, p_surface, p_touch, p_grip)
+                round += 1
+                barrier(w.counters, team, blocks, round)
             kept = wp.min(here, w.eased.shape[0] - 1)
             for base in range(lo, hi, width // lanes):
                 i = base + lane // lanes
@@ -255,7 +267,10 @@ def make_forward(kit):
                         f += pressed(w, i)
                     if wp.static(filled):
                         f += squeezed(w, i)
-                    f += body(x, v, w.home[i], m, p_body)
+                    if wp.static(pointed):
+                        f += met_points(w, i)
+                    else:
+                        f += body(x, v, w.home[i], m, p_body)
                     if wp.static(watching):
                         y, u, weight = sighted(w, i, frame, step, substeps, dt)
                         if weight > R(0.0):

@@ -46,8 +46,9 @@ class Kernels:
 
 
 @cache
-def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Kernels:
+def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int, pointed: bool = False) -> Kernels:
     """Compose the kernels for ``laws``. ``double``: float64 instead of float32. ``half``: each spring once (teams of one thread only).
+    ``pointed``: body forces act on material points instead of on nodes.
 
     ``lanes`` neighbouring threads (a power of two up to 32) share the springs of one particle; a block has ``threads``.
     """
@@ -56,7 +57,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int) -> Ker
 
     _init()
     kit = _kit(laws, wp.float64 if double else wp.float32)
-    kit.half, kit.lanes, kit.warp = half, lanes, min(threads, WARP)
+    kit.half, kit.lanes, kit.warp, kit.pointed = half, lanes, min(threads, WARP), pointed
     kit.quads = quads(kit.R, kit.vec) if half and not kit.remembering else None
     # approximate division and square root (2 units in the last place) are a GPU's fast path; float64 is for checking and stays exact
     launch = (threads, 1) if threads > 1 else None
@@ -107,6 +108,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         skinned=bool(laws.stage("facet")),
         filled=bool(laws.stage("solid")),
         easing=bool(laws.stage("viscous")),
+        touching=bool(laws.stage("touch")),
         watching=bool(laws.stage("observer")),
         remembering=bool(laws.stage("strand")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
@@ -143,7 +145,7 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pe, pd, pb, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, ps, ph, pf, pe, pd, pb, pu, pt, pg, po, pv, pc, pm = (vectors[s] for s in STAGED)
     pq, pair = vectors["memory"], vectors["natural"]
 
     @wp.struct
@@ -211,6 +213,19 @@ def _structs(R, vec, vectors):
         ease: wp.array2d(dtype=R)  # (B, rounds) share of the substep that each takes
         squeeze: wp.array2d(dtype=vec)  # (K, 8) N, forces on the corners
         eased: wp.array3d(dtype=vec)  # (slots kept, rounds + 1, nodes) m/s, before and after each round
+        point_start: wp.array(dtype=wp.int32)  # (B+1,) first material point of each system
+        point_node: wp.array2d(dtype=wp.int32)  # (P, K) nodes that carry it
+        point_weight: wp.array2d(dtype=R)  # (P, K)
+        point_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        point_of: wp.array(dtype=wp.int32)  # (K + 1) point + column, the last being its controller's
+        point_home: wp.array(dtype=vec)  # (P,) m, at rest
+        area: wp.array(dtype=R)  # (P,) m^2 of the skin
+        carries: wp.array(dtype=R)  # (P,) kg, what a spring at the point must hold
+        hold: wp.array(dtype=wp.int32)  # (P,) the controller that carries it along, as a node, or -1
+        held: wp.array(dtype=R)  # (P,) how firmly
+        load: wp.array(dtype=R)  # (P,) kg
+        anchor: wp.array2d(dtype=vec)  # (slots, P) m, what points remember of the ground
+        push: wp.array(dtype=vec)  # (P,) N, from outside
         near_row: wp.array(dtype=wp.int32)  # (nodes+1,) first contact candidate
         near: wp.array(dtype=wp.int32)  # (candidates,)
         out: wp.array2d(dtype=vec)  # (frames, nodes) m, at the ends of the frames from the first on
@@ -245,10 +260,17 @@ def _structs(R, vec, vectors):
         eased: wp.array(dtype=vec)  # (nodes,) of the velocity after a round, over mass; 0 at driven nodes
         solid: wp.array(dtype=pe)  # (K,) shares of the parameters' gradient
         viscous: wp.array(dtype=pd)
+        load: wp.array(dtype=R)  # (P,)
+        held: wp.array(dtype=R)
+        anchor: wp.array(dtype=vec)  # (P,) in: at the stretch's end, out: at its start
+        met_points: wp.array2d(dtype=vec)  # (P, 4) of a substep's forces from outside: a point's x, v, its controller's x, v
         memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
         strand: wp.array(dtype=ps)
-        body: wp.array(dtype=pb)
+        body: wp.array(dtype=pb)  # (nodes,), or (P,) where there are points
+        surface: wp.array(dtype=pu)  # (P,)
+        touch: wp.array(dtype=pt)
+        grip: wp.array(dtype=pg)
         observer: wp.array(dtype=po)
         velocity: wp.array(dtype=pv)
         contact: wp.array(dtype=pc)

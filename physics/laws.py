@@ -60,6 +60,10 @@ class Laws:
             viscous=_viscous(self),
             lateral=_lateral(self),
             body=_body(self),
+            surface=_surface(self),
+            touch=_touch(self)[0],
+            settle=_touch(self)[1],
+            grip=_grip(self),
             observer=_observer(self),
             velocity=_velocity(self),
             contact=_contact(self),
@@ -229,6 +233,61 @@ def _plus_body(before, law, offset):
     @wp.func
     def total(x: Any, v: Any, home: Any, m: Any, p: Any):
         return before(x, v, home, m, p) + law(x, v, home, m, p, offset)
+
+    return total
+
+
+def _surface(laws):
+    @wp.func
+    def total(x: Any, v: Any, home: Any, area: Any, m: Any, p: Any):
+        return type(x)()
+
+    for term, offset in laws.stage("surface"):
+        total = _plus_surface(total, term.law, offset)
+    return total
+
+
+def _plus_surface(before, law, offset):
+    @wp.func
+    def total(x: Any, v: Any, home: Any, area: Any, m: Any, p: Any):
+        return before(x, v, home, area, m, p) + law(x, v, home, area, m, p, offset)
+
+    return total
+
+
+def _touch(laws):
+    found = laws.stage("touch")
+    if len(found) > 1:
+        raise ValueError(f"a system can have one term that touches its skin, got {', '.join(t.name for t, _ in found)}")
+    if not found:
+        return None, None
+    law, evolve = found[0][0].law, found[0][0].evolve
+
+    @wp.func
+    def touch(x: Any, v: Any, m: Any, q: Any, p: Any):
+        return law(x, v, m, q, p, 0)
+
+    @wp.func
+    def settle(x: Any, v: Any, m: Any, q: Any, dt: Any, p: Any):
+        return evolve(x, v, m, q, dt, p, 0)
+
+    return touch, settle
+
+
+def _grip(laws):
+    @wp.func
+    def total(apart: Any, rate: Any, m: Any, p: Any):
+        return type(apart)()
+
+    for term, offset in laws.stage("grip"):
+        total = _plus_grip(total, term.law, offset)
+    return total
+
+
+def _plus_grip(before, law, offset):
+    @wp.func
+    def total(apart: Any, rate: Any, m: Any, p: Any):
+        return before(apart, rate, m, p) + law(apart, rate, m, p, offset)
 
     return total
 

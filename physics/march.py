@@ -23,7 +23,8 @@ class Inputs:
 
     x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns),
     memory (springs, strand terms, at least 1): what springs remember at the start, in the order of their terms,
-    natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains
+    natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains,
+    load (points,) kg, held (points,): how firmly hands hold them, anchor (points, 3) m: what they remember of the ground at the start
     """
 
     x: torch.Tensor
@@ -37,6 +38,9 @@ class Inputs:
     natural: torch.Tensor
     flexure: torch.Tensor
     directors: torch.Tensor
+    load: torch.Tensor
+    held: torch.Tensor
+    anchor: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -45,10 +49,15 @@ class Carried:
 
     memory     (springs, strand terms, at least 1) of the springs
     directors  (segments, 3) of the ropes
+    anchor     (points, 3) of the ground
     """
 
     memory: torch.Tensor
     directors: torch.Tensor
+    anchor: torch.Tensor
+
+
+STATE = ("x", "v", *(f.name for f in fields(Carried)))
 
 
 @dataclass(frozen=True)
@@ -82,6 +91,7 @@ class Carrier:
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
         vectors |= {"directors", "bent", "turned", "face", "faced", "points", "half", "squeeze", "eased", "cells"}
+        vectors |= {"point_home", "anchor", "push", "met_points"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
         dtype = wp.int32 if tensor.dtype == torch.int32 else kind
         if tensor.numel():
@@ -95,9 +105,9 @@ def _nothing(dimensions, dtype, device):
 
 
 class World(Carrier):
-    """The state of a batch in ``slots`` slots, starting at (x, v, memory, directors), with ``near`` the contact candidates."""
+    """The state of a batch in ``slots`` slots, starting at the tensors of ``STATE``, with ``near`` the contact candidates."""
 
-    def __init__(self, batch, values, x, v, memory, directors, near, slots, out):
+    def __init__(self, batch, values, x, v, memory, directors, anchor, near, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -107,7 +117,9 @@ class World(Carrier):
         state[0, :, 0:3], state[0, :, 4:7] = x, v
         ways = empty(slots if batch.hinged else 1, *directors.shape)
         ways[0] = directors
-        self.states, self.memory, self.ways = state, memory, ways
+        anchors = empty(slots if batch.touching else 1, *anchor.shape)
+        anchors[0] = anchor
+        self.states, self.memory, self.ways, self.anchors = state, memory, ways, anchors
         ends = batch.constants["spring"].long()
         memories = empty(slots if batch.remembering else 0, len(ends), memory.shape[1])
         if batch.remembering:
@@ -126,7 +138,8 @@ class World(Carrier):
             dict(
                 **batch.arrays,
                 **{k: values[k][ends] for k in ("rest", "stiffness")},
-                **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure")},
+                **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure", "load", "held")},
+                **dict(anchor=anchors, push=torch.empty_like(anchor)),
                 **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
                 **dict(face=empty(batch.facet_starts[-1], 3), swelling=empty(slots, len(batch.systems)), parts=batch.parts()),
                 **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
@@ -139,7 +152,7 @@ class World(Carrier):
         self.struct.nodes = n
 
     def end(self, stretch: Stretch):
-        """(x, v, memory, directors) at the end of a stretch."""
+        """The tensors of ``STATE`` at the end of a stretch."""
         batch = self._batch
         slot = batch.kept_ints(stretch.count % self.slots).long()
         node = torch.arange(batch.node_count, device=batch.device)
@@ -149,16 +162,18 @@ class World(Carrier):
             memory[batch.lower_spring] = self.memories[slot[batch.spring_system[batch.lower_spring]], batch.lower_end]
         segment = torch.arange(self.ways.shape[1], device=batch.device)
         ways = self.ways[slot[batch.rope_system] % len(self.ways), segment]
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways
+        point = torch.arange(self.anchors.shape[1], device=batch.device)
+        anchors = self.anchors[slot[batch.point_system] % len(self.anchors), point]
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, anchors
 
 
 class Adjoint(Carrier):
-    """Adjoints of a batch's state and inputs: ``x``, ``v``, ``memory``, ``directors`` at the end, ``out`` of the positions at the frames.
+    """Adjoints of a batch's state and inputs: of the tensors of ``STATE`` at the end, ``out`` of the positions at the frames.
 
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, out, wanted):
+    def __init__(self, batch, values, x, v, memory, directors, anchor, out, wanted):
         self.batch, self.memory = batch, memory
         hinges, segments = len(values["flexure"]), len(directors)
 
@@ -167,13 +182,14 @@ class Adjoint(Carrier):
 
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         cells = batch.cell_starts[-1]
-        counts = {"hinge": hinges, "facet": batch.facet_starts[-1], "solid": cells, "viscous": cells}
-        stages = {s: zeros(batch.laws.width(s), count=counts.get(s, batch.node_count)) for s in STAGED}
-        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure")}
+        self.counts = {"hinge": hinges, "facet": batch.facet_starts[-1], "solid": cells, "viscous": cells}
+        self.counts |= dict.fromkeys(("surface", "touch", "grip", *(["body"] if batch.pointed else [])), len(anchor))
+        stages = {s: zeros(batch.laws.width(s), count=self.counts.get(s, batch.node_count)) for s in STAGED}
+        inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure", "load", "held")}
         rods = dict(bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2))
         rods |= dict(twist=zeros(batch.laws.width("hinge"), count=segments))
         rods |= dict(rolled_natural=zeros(2, count=2 * segments), rolled_flexure=zeros(count=2 * segments))
-        faced = dict(faced=zeros(2, 3, count=counts["facet"]), faced_mass=zeros(count=counts["facet"]), parts=batch.parts())
+        faced = dict(faced=zeros(2, 3, count=self.counts["facet"]), faced_mass=zeros(count=self.counts["facet"]), parts=batch.parts())
         super().__init__(
             batch.kernels,
             batch.kernels.Adjoint,
@@ -185,6 +201,7 @@ class Adjoint(Carrier):
                 **rods,
                 **faced,
                 **dict(cells=zeros(16, 3, count=cells), eased=zeros(3)),
+                **dict(anchor=anchor.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
             ),
         )
         for name in ("rest", "mass", "table"):
@@ -197,12 +214,13 @@ class Adjoint(Carrier):
         def by_system(shares, starts):
             return torch.stack([shares[a:b].sum(0) for a, b in pairwise(starts)])
 
-        nodal = [s for s in (*STAGED, "links") if s not in ("hinge", "facet", "solid", "viscous")]
+        nodal = [s for s in (*STAGED, "links") if s not in self.counts]
         shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
         parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
         parts |= {s: by_system(t[s], batch.cell_starts) for s in ("solid", "viscous")}
+        parts |= {s: by_system(t[s], batch.point_starts) for s in self.counts if s not in parts}
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
         for stage, part in parts.items():
             first = batch.laws.start(stage)
@@ -213,7 +231,7 @@ class Adjoint(Carrier):
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = t["memory"][batch.lower_end]
-        plain = ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors")
+        plain = ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors", "load", "held", "anchor")
         return {"memory": memory, "table": table, **{k: t[k] for k in plain}}
 
 
@@ -221,7 +239,7 @@ class March(torch.autograd.Function):
     @staticmethod
     def forward(ctx, batch, frame, frames, *inputs):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
-        state = tuple(values[k] for k in ("x", "v", "memory", "directors"))
+        state = tuple(values[k] for k in STATE)
         x = state[0]
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
@@ -276,13 +294,13 @@ def settled(batch, inputs: Inputs) -> torch.Tensor:
     They are what the engine's own substeps make of them while the clock all but stands.
     """
     values = {k: t.detach().contiguous() for k, t in vars(batch.prepare(inputs)).items()}
-    x, v, memory, directors = (values[k] for k in ("x", "v", "memory", "directors"))
+    x, v, memory, directors, anchor = (values[k] for k in STATE)
     values["path"] = values["path"][:1].contiguous()
     nobody = torch.zeros(batch.node_count + 1, dtype=torch.int32, device=batch.device)
     stretch, one = Stretch(0, 0, np.full(len(batch.systems), ROUND)), torch.ones(len(batch.systems), dtype=x.dtype, device=x.device)
     moving = one > 0
     for _ in range(ROUNDS):
-        world = World(batch, values, x, torch.zeros_like(v), memory, directors, (nobody, nobody), 2, torch.empty_like(x[None]))
+        world = World(batch, values, x, torch.zeros_like(v), memory, directors, anchor, (nobody, nobody), 2, torch.empty_like(x[None]))
         world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
         batch.forward(world, 0, stretch)
         relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[3], directors)

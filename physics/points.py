@@ -50,12 +50,12 @@ def material_points(grid: Grid, density: float, surface, area: float) -> Points:
 
     surface = np.asarray(surface, float).reshape(-1, 3)
     cells, each = grid.points.shape[:2]
-    local = grid.points.reshape(-1, 3)
+    local = SHRUNK * grid.points.reshape(-1, 3)
     inside = grid.origin + ((np.repeat(grid.cells, each, 0) + (local + 1) / 2) * grid.size) @ grid.axes
     nodes, weights = grid.locate(surface) if len(surface) else (np.zeros((0, 8), int), np.zeros((0, 8)))
     return Points(
         nodes=np.concatenate([np.repeat(grid.nodes, each, 0), nodes]),
-        weights=np.concatenate([shape(SHRUNK * local), weights]),
+        weights=np.concatenate([shape(local), weights]),
         home=np.concatenate([inside, surface]),
         masses=np.concatenate([np.repeat(density * grid.volume / each, each), np.zeros(len(surface))]),
         areas=np.concatenate([np.zeros(cells * each), np.full(len(surface), area / max(1, len(surface)))]),

@@ -39,6 +39,9 @@ def stable_step(system: System) -> float:
 
     A solid adds the largest eigenvalue of its cells' stiffness at rest, found by power iteration.
 
+    Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
+    the nodes' masses.
+
     A pressure k (V0 / V - 1) adds k V0 / V^2 g_i g_j' with the volume's gradient g_i, a third of the area vectors around a node.
     """
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
@@ -58,6 +61,10 @@ def stable_step(system: System) -> float:
         return math.inf
     lam = float((stiffness[inside] / system.masses[inside]).max()) + _fastest(system, free, "solid")
     mu = float((damping[inside] / system.masses[inside]).max())
+    for term in system.terms:
+        if term.hardness is not None:
+            hard = term.hardness(**term.values)
+            lam, mu = lam + hard[0], mu + hard[1]
 
     def limit(times):
         bound = mu + math.sqrt(mu * mu + 4 * lam * times)

@@ -10,6 +10,7 @@ import numpy as np
 from ..datasets.collection import nearest
 from .grids import Grid
 from .hinges import Ropes
+from .points import Points
 from .terms.base import STAGES, Term
 
 __all__ = ["System"]
@@ -21,7 +22,7 @@ class System:
 
     positions    (M, 3) m, the start
     velocities   (M, 3) m/s, zero unless given
-    masses       (M,) kg, one each unless given (PhysTwin's particles have unit mass whatever the density)
+    masses       (M,) kg, what the points give them or one each unless given (PhysTwin's have unit mass whatever the density)
     springs      (E, 2) int: particle indices, or M + c for controller c
     rest         (E,) m, the start's distances unless given
     stiffness    (E,) N, force per unit strain
@@ -36,6 +37,7 @@ class System:
     chains       arrays of nodes in order, each a rope, or a ring where the last is the first: hinges along them twist as well
     facets       (F, 3) int: particles at the corners of the skin's triangles, anticlockwise from outside; only facet terms read them
     grid         the cells of a solid whose nodes the particles are (``physics.grids``); only solid and viscous terms read it
+    points       material points that the particles carry, on which body forces act then (``physics.points``)
     seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
     """
@@ -56,6 +58,7 @@ class System:
     chains: tuple[np.ndarray, ...] = ()
     facets: np.ndarray | None = None
     grid: Grid | None = None
+    points: Points | None = None
     home: np.ndarray | None = None
     seen: np.ndarray | None = None
     sight: np.ndarray | None = None
@@ -85,7 +88,7 @@ class System:
         if self.home is not None:
             own("home", count, 3)
         own("velocities", count, 3, default=np.zeros((count, 3)))
-        own("masses", count, default=np.ones(count))
+        own("masses", count, default=np.ones(count) if self.points is None else self.points.node_masses(count))
         refuse(self.masses <= 0, lambda i: f"masses must be > 0 [kg], got {self.masses[i]} at particle {i}")
         own("controllers", "T", "C", 3)
         frames, hands = self.controllers.shape[:2]
@@ -123,8 +126,24 @@ class System:
         refuse(flat, lambda f: f"facets must have three different corners, got {self.facets[f].tolist()} at facet {f}")
         if self.grid is not None and len(self.grid.positions) != count:
             raise ValueError(f"the grid's nodes must be the particles: got {len(self.grid.positions)} nodes and {count} particles")
+        if self.points is not None:
+            self._check_points(count, hands, refuse)
         if self.seen is not None:
             self._own_sightings(count)
+
+    def _check_points(self, count, hands, refuse):
+        points = self.points
+        outside = ((points.nodes < 0) | (points.nodes >= count)).any(1)
+        refuse(outside, lambda q: f"points must be carried by particles 0 to {count - 1}, got {points.nodes[q].tolist()} at point {q}")
+        off = ~(np.abs(points.weights.sum(1) - 1) < 1e-6)
+        refuse(off, lambda q: f"a point's weights must sum to 1, got {points.weights[q].sum()} at point {q}")
+        free = (points.holds >= 0) & ((points.holds >= hands) | (np.append(self.grips, -1)[np.minimum(points.holds, hands)] >= 0))
+        refuse(
+            free, lambda q: f"holds must be -1 or one of the {hands} controllers that grips no particle, got {points.holds[q]} at point {q}"
+        )
+        for name in ("masses", "areas", "held"):
+            value = getattr(points, name)
+            refuse(~((value >= 0) & (value < np.inf)), lambda q, n=name, v=value: f"{n} of points must be >= 0, got {v[q]} at point {q}")
 
     def _own_chains(self, nodes, known):
         """Read-only copies; a chain is a walk, and no segment is walked twice."""

@@ -9,6 +9,7 @@ import pytest
 import warp as wp
 from twinbench.physics.batch import Batch, Inputs
 from twinbench.physics.parameters import Parameter
+from twinbench.physics.points import Points
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, SelfCollision, Springs
 from twinbench.physics.terms.base import Term
@@ -328,7 +329,9 @@ def test_frames_of_a_roll_out_are_not_negative():
 
 @pytest.mark.parametrize("name", [f.name for f in fields(Inputs)])
 def test_inputs_that_the_kernels_would_read_past_are_refused(name):
-    batch = Batch([System(**good(**ROPE))], fps=30, substeps=10)
+    nodes, one = np.arange(4)[:, None], np.ones((4, 1))
+    points = Points(nodes, one, good()["positions"], *np.ones((2, 4)), holds=np.full(4, -1), held=np.zeros(4))
+    batch = Batch([System(**good(**ROPE, points=points))], fps=30, substeps=10)
     own = getattr(batch.inputs, name)
     short = own[:, :-1] if name == "path" else own[:-1]
     for wrong in (short, own.double()):

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from ...physics.terms.base import Term
+from ...physics.terms.base import ARGUMENTS, Term
 from .checking import require
 
 __all__ = ["agree", "agree_in_memory", "evaluate", "random_inputs"]
@@ -33,16 +33,16 @@ def agree(term: type[Term]) -> None:
 
 
 def agree_in_memory(term: type[Term]) -> None:
-    """Raises AssertionError unless the memory of ``term``, of stage "strand", evolves as ``twin_evolve`` says."""
+    """Raises AssertionError unless the memory of ``term``, evolves as ``twin_evolve`` says."""
     # substeps from a microsecond to a second; the exponential of the one is a hyperbolic tangent in the other
     rng = np.random.default_rng(0)
-    inputs = [*random_inputs("strand", rng), 10.0 ** rng.uniform(-6, 0, SAMPLES)]
+    inputs = [*random_inputs(term.stage, rng), 10.0 ** rng.uniform(-6, 0, SAMPLES)]
     low, high = np.array([(p.low, p.high) for p in term.parameters]).T
     parameters = rng.uniform(low, high, (SAMPLES, len(low)))
-    (found,) = evaluate(term, "evolve", inputs, parameters)
+    (found,) = evaluate(term, "evolve" if term.stage == "strand" else "settle", inputs, parameters)
     expected = [term.twin_evolve(*(a[i] for a in inputs), *parameters[i]) for i in range(SAMPLES)]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)  # a dozen operations of numbers up to 20
-    share = (np.abs(found - inputs[7]) > 1e-9).mean()
+    share = (np.abs(found - inputs[ARGUMENTS[term.stage].index("q")]) > 1e-9).mean()
     require(share > 0.03, f"in {share:.0%} of the samples it remembers something new: too few")
 
 
@@ -85,6 +85,22 @@ def _kernel_of(term, stage):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
 
+    def surface(a: A, b: A, c: A, d: S, e: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], e[i], p[i], wp.static(OFFSET))
+
+    def touch(a: A, b: A, c: S, d: A, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], d[i], p[i], wp.static(OFFSET))
+
+    def settle(a: A, b: A, c: S, d: A, e: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = after(a[i], b[i], c[i], d[i], e[i], p[i], wp.static(OFFSET))
+
+    def grip(a: A, b: A, c: S, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], c[i], p[i], wp.static(OFFSET))
+
     def observer(a: A, b: A, c: A, d: A, e: A, f: S, p: Ps, out: A):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], p[i], wp.static(OFFSET))
@@ -104,7 +120,7 @@ def _kernel_of(term, stage):
         out2[i] = v
 
     stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, facet=facet, solid=solid, viscous=viscous, body=body)
-    stages |= dict(observer=observer, velocity=velocity, contact=contact, move=move)
+    stages |= dict(surface=surface, touch=touch, settle=settle, grip=grip, observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[stage], module="unique", enable_backward=False), P
 
 
@@ -138,6 +154,10 @@ def random_inputs(stage, rng):
         return [deformed, rng.normal(size=(SAMPLES, 3, 3))][: 1 + (stage == "viscous")]
     if stage == "facet":
         return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
+    if stage == "touch":
+        return [x[0], v[0], positive[0], 0.01 * x[1]]
+    if stage in ("surface", "grip"):
+        return [x[0], v[0], *([x[1], positive[0]] if stage == "surface" else []), positive[1]]
     if stage in ("body", "observer"):
         return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
     return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]

@@ -9,6 +9,7 @@ from .bending_damping import BendingDamping
 from .compression_softening import CompressionSoftening
 from .controller_delay import ControllerDelay
 from .controller_springs import ControllerSprings
+from .coulomb_ground import CoulombGround
 from .creep import Creep
 from .dashpot import Dashpot
 from .directional_ground import DirectionalGround
@@ -34,11 +35,13 @@ from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
 from .second_hand import SecondHand
 from .self_collision import SelfCollision
+from .soft_grip import SoftGrip
 from .soft_ground import SoftGround
 from .springs import Springs
 from .stiffness_field import StiffnessField
 from .strain_stiffening import StrainStiffening
 from .stribeck_ground import StribeckGround
+from .surface_drag import SurfaceDrag
 from .tearing import Tearing
 from .torsion import Torsion
 from .viscoelastic import Viscoelastic
@@ -53,6 +56,7 @@ __all__ = [
     "CompressionSoftening",
     "ControllerDelay",
     "ControllerSprings",
+    "CoulombGround",
     "Creep",
     "Dashpot",
     "DirectionalGround",
@@ -79,11 +83,13 @@ __all__ = [
     "RestShape",
     "SecondHand",
     "SelfCollision",
+    "SoftGrip",
     "SoftGround",
     "Springs",
     "StiffnessField",
     "StrainStiffening",
     "StribeckGround",
+    "SurfaceDrag",
     "Tearing",
     "Term",
     "Torsion",

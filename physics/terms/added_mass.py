@@ -34,16 +34,29 @@ class AddedMass(Term):
 
     @staticmethod
     def prepare(batch, inputs, values):
-        """Inputs with more ``mass`` (nodes,)."""
+        """Inputs with more ``mass`` (nodes,), and where there are material points more ``load`` (points,), which nodes then carry."""
         import torch
 
-        system, free = batch.system_of, batch.constants["lead"] == 0  # controllers have no mass
-        place = torch.stack([values[f"added_mass_{axis}"] for axis in "xyz"], 1)[system]
-        apart = (batch.constants["home"] - place).square().sum(1)
-        nothing = torch.zeros(len(batch.systems), dtype=apart.dtype, device=apart.device)
-        # counted from the nearest particle: only ratios matter, and a place far from the body stays a number
-        nearest = (nothing + torch.inf).scatter_reduce(0, system[free], apart[free].detach(), "amin")
-        share = torch.exp((nearest[system] - apart) / (2 * values["added_mass_within"][system].square()))
-        whole, patch = (nothing.index_add(0, system[free], m[free]) for m in (inputs.mass, inputs.mass * share))
-        grown = inputs.mass * (1 + (values["added_mass"] * whole / patch)[system] * share)
-        return replace(inputs, mass=torch.where(free, grown, inputs.mass))
+        place = torch.stack([values[f"added_mass_{axis}"] for axis in "xyz"], 1)
+        amount, within = values["added_mass"], values["added_mass_within"]
+        if batch.pointed:
+            more = _patch(inputs.load, batch.constants["point_home"], batch.point_system, place, amount, within)
+            nodes, weights = batch.constants["point_node"].long(), batch.constants["point_weight"]
+            mass = inputs.mass.index_add(0, nodes.flatten(), (more[:, None] * weights).flatten())
+            return replace(inputs, mass=mass, load=inputs.load + more)
+        free = (batch.constants["lead"] == 0).nonzero()[:, 0]  # controllers have no mass
+        more = _patch(inputs.mass[free], batch.constants["home"][free], batch.system_of[free], place, amount, within)
+        return replace(inputs, mass=inputs.mass.index_add(0, free, more))
+
+
+def _patch(mass, home, system, place, amount, within):
+    """(M,) kg more for each of ``mass`` (M,) at ``home`` (M, 3), of the systems (M,) that have a ``place`` (B, 3) each."""
+    import torch
+
+    apart = (home - place[system]).square().sum(1)
+    nothing = torch.zeros(len(place), dtype=apart.dtype, device=apart.device)
+    # counted from the nearest particle: only ratios matter, and a place far from the body stays a number
+    nearest = (nothing + torch.inf).scatter_reduce(0, system, apart.detach(), "amin")
+    share = torch.exp((nearest[system] - apart) / (2 * within[system].square()))
+    whole, patch = (nothing.index_add(0, system, m) for m in (mass, mass * share))
+    return mass * (amount * whole / patch)[system] * share

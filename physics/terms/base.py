@@ -11,6 +11,9 @@ stage       law                                                      returns
 "solid"     (deformed, p, o)                                         first Piola-Kirchhoff stress of a solid [Pa]
 "viscous"   (deformed, rate, p, o)                                   the same [Pa], linear in the deformation's rate
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
+"surface"   (x, v, home, area, m, p, o)                          force on a point of the skin [N] that stands for an area [m^2]
+"touch"     (x, v, m, q, p, o)                                   force of the ground on a point of the skin [N] that remembers q (3,)
+"grip"      (apart, rate, m, p, o)                               force of a hand on a point [N] that lags apart [m] behind it
 "observer"  (x, v, home, y, u, m, p, o)                              force on one particle that was seen at y [m], moving with u [m/s]
 "velocity"  (v, dt, p, o)                                            velocity after the stage [m/s]
 "contact"   (xi, xj, vi, vj, mi, mj, p, o)                           impulse on particle i [N s]; pairs meet within p[o]
@@ -36,11 +39,16 @@ A solid is a grid of cells (``physics.grids``); deformed is the deformation grad
 its rate. A solid term may declare ``lateral`` (p, o): how much thinner a plate of it becomes than it is stretched in both directions, nu /
 (1 - nu), which bending asks of cells. Viscous stresses act on velocities after the "velocity" stage, in rounds. See ``physics.cells``.
 
+Where a system has material points (``physics.points``), body forces act on them instead of on nodes, and only then are there the stages
+"surface", "touch" and "grip"; m [kg] is what a point carries of its body, for springs that must hold it. A touch term declares ``evolve``
+(x, v, m, q, dt, p, o), too: its law sees the memory after the substep, which is how far friction is stretched. A touch or grip term also
+declares ``hardness``, (stiffness / m [1/s^2], damping / m [1/s]) at given parameters, for stability.
+
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, facet, solid, body and observer terms, then v <- velocity(v + dt F / m), then damping in rounds
-or contacts, then move.
+Forces are summed over axial, strand, hinge, facet, solid, body, surface, touch, grip and observer terms, then v <- velocity(v + dt F /
+m), then damping in rounds or contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -49,10 +57,15 @@ from typing import ClassVar
 from ...datasets.collection import nearest
 from ..parameters import Parameter
 
-__all__ = ["ARGUMENTS", "STAGED", "STAGES", "Effect", "Term"]
+__all__ = ["ARGUMENTS", "REMEMBERING", "STAGED", "STAGES", "Effect", "Term"]
 
-STAGES = ("axial", "strand", "hinge", "facet", "solid", "viscous", "body", "observer", "velocity", "contact", "move", "links", "setup")
-STAGED = STAGES[:11]  # whose laws are in the kernels
+# whose laws are in the kernels
+STAGED = (
+    *("axial", "strand", "hinge", "facet", "solid", "viscous", "body", "surface", "touch", "grip"),
+    *("observer", "velocity", "contact", "move"),
+)
+STAGES = (*STAGED, "links", "setup")
+REMEMBERING = ("strand", "touch")  # whose terms declare ``evolve``
 # what a law is given, before p and o; its numpy twin is given the same, and then the parameters
 ARGUMENTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
@@ -62,6 +75,9 @@ ARGUMENTS = {
     "solid": ("deformed",),
     "viscous": ("deformed", "rate"),
     "body": ("x", "v", "home", "m"),
+    "surface": ("x", "v", "home", "area", "m"),
+    "touch": ("x", "v", "m", "q"),
+    "grip": ("apart", "rate", "m"),
     "observer": ("x", "v", "home", "y", "u", "m"),
     "velocity": ("v", "dt"),
     "contact": ("xi", "xj", "vi", "vj", "mi", "mj"),
@@ -108,6 +124,7 @@ class Term:
     law: ClassVar = None
     evolve: ClassVar = None
     lateral: ClassVar = None
+    hardness: ClassVar = None
     effect: ClassVar[Effect | None] = None
 
     def __post_init__(self):

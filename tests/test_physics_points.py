@@ -1,0 +1,231 @@
+"""Material points: what acts from outside on a body, against closed forms; ground that sticks and slides, grips, drag, gradients."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from twinbench.benchmark.conformance import gradients
+from twinbench.physics.batch import Batch
+from twinbench.physics.grids import embed
+from twinbench.physics.points import material_points
+from twinbench.physics.stability import stable_step
+from twinbench.physics.system import System
+from twinbench.physics.terms import (
+    AddedMass,
+    AirDrag,
+    CoulombGround,
+    Gravity,
+    KelvinVoigt,
+    LinearDrag,
+    NeoHookean,
+    SoftGrip,
+    SurfaceDrag,
+    Wind,
+)
+
+DENSITY, SIZE = 100.0, np.array([0.06, 0.05, 0.026])
+MASS = DENSITY * SIZE.prod()
+
+
+def block(*terms, pitch=0.02, offset=(0.3, 0.25, 0.4), at=(0, 0, 0), controllers=None, hold=None, velocities=None, young=2e4):
+    """A block of foam in a grid that does not fit it; the points of its skin are those of all six faces, 7 mm apart."""
+    along = [(np.arange(n) + 0.5) * s / n for n, s in zip((24, 20, 12), SIZE, strict=True)]
+    samples = np.stack(np.meshgrid(*along, indexing="ij"), -1).reshape(-1, 3) + at
+    grid = embed(samples, SIZE.prod(), pitch, axes=np.eye(3), offset=offset)
+    faces = []
+    for axis in range(3):
+        u, w = (np.linspace(0, SIZE[k], round(SIZE[k] / 0.007)) for k in range(3) if k != axis)
+        for level in (0, SIZE[axis]):
+            flat = np.insert(np.stack(np.meshgrid(u, w, indexing="ij"), -1).reshape(-1, 2), axis, level, axis=1)
+            faces.append(flat)
+    skin = np.unique(np.concatenate(faces).round(9), axis=0) + at
+    area = 2 * (SIZE[0] * SIZE[1] + SIZE[1] * SIZE[2] + SIZE[2] * SIZE[0])
+    points = material_points(grid, DENSITY, skin, area)
+    if hold is not None:
+        held = np.flatnonzero(hold(points.home))
+        points.holds[held], points.held[held] = np.arange(len(held)), 1.0
+        controllers = np.repeat(points.home[held][None], 2, 0)
+    return System(
+        positions=grid.positions,
+        velocities=velocities,
+        springs=np.zeros((0, 2), int),
+        stiffness=[],
+        controllers=np.zeros((2, 0, 3)) if controllers is None else controllers,
+        grid=grid,
+        points=points,
+        terms=[NeoHookean({"youngs_modulus": young}), *terms],
+    )
+
+
+def middle(system, path):
+    """(T, 3) m, the body's centre of mass on a path (T, N, 3) of its nodes."""
+    return system.points.positions(path.double().numpy()).transpose(0, 2, 1) @ system.points.masses / MASS
+
+
+def test_points_carry_the_bodys_mass_and_move_with_it():
+    # sum w = 1 and trilinear functions reproduce affine motions: skin points move by it exactly, the nodes' masses are the body's
+    one = block()
+    assert one.masses.sum() == pytest.approx(MASS, rel=1e-12) and (one.masses > 0).all()
+    affine, shift = np.random.default_rng(0).normal(size=(3, 3)), np.array([1.0, 2.0, 3.0])
+    skin = one.points.areas > 0
+    np.testing.assert_allclose(
+        one.points.positions(one.positions @ affine + shift)[skin], one.points.home[skin] @ affine + shift, atol=1e-12
+    )
+    assert one.points.areas.sum() == pytest.approx(2 * (0.06 * 0.05 + 0.05 * 0.026 + 0.026 * 0.06))
+
+
+def test_a_body_falls_as_one():
+    # gravity acts by the masses that inertia has: every node falls by g t^2 / 2 and nothing is strained (semi-implicit: g t (t + dt) / 2)
+    one = block(Gravity({"gravity_z": -9.8}))
+    path = Batch([one], fps=30, substeps=100, double=True).rollout(7).positions[0]
+    t = np.arange(7) / 30
+    fall = -9.8 * t * (t + 1 / 3000) / 2
+    expected = np.stack([0 * t, 0 * t, fall], 1)[:, None].repeat(len(one.positions), 1)
+    np.testing.assert_allclose(path.numpy() - one.positions, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(("angle", "friction"), [(15.0, 0.4), (25.0, 0.2)])
+def test_a_block_sticks_on_a_slope_or_slides_down_it(angle, friction):
+    # tan 15 = 0.27 < 0.4: it stays, without creep; tan 25 = 0.47 > 0.2: it slides with g (sin - mu cos), here for half a second
+    lean = np.deg2rad(angle)
+    gravity = dict(zip(("gravity_x", "gravity_y", "gravity_z"), 9.8 * np.array([np.sin(lean), 0, -np.cos(lean)]), strict=True))
+    ground = CoulombGround({"coulomb_friction": friction, "coulomb_normal_z": 1.0, "coulomb_offset": 0.0})
+    one = block(Gravity(gravity), ground, KelvinVoigt({"viscosity": 200.0}))
+    path = middle(one, Batch([one], fps=60, double=True).rollout(121).positions[0])
+    t = np.arange(121) / 60
+    if np.tan(lean) < friction:
+        assert path[0, 2] - 0.002 < path[-1, 2] < path[0, 2]  # it has sunk in by less than 2 mm
+        assert np.abs(path[60:, 0] - path[60, 0]).max() < 2e-5
+    else:
+        found = np.polyfit(t[30:], path[30:, 0], 2)[0] * 2
+        assert found == pytest.approx(9.8 * (np.sin(lean) - friction * np.cos(lean)), rel=0.02)
+
+
+def test_friction_forgets_where_a_block_was_before_it_was_thrown_up():
+    # it lands 40 mm further and stays there: what friction remembers ends where contact ends
+    fly = np.array([0.2, 0.0, 1.0])
+    ground = CoulombGround({"coulomb_friction": 1.0, "coulomb_normal_z": 1.0, "coulomb_damping": 1.0})
+    one = block(Gravity({"gravity_z": -9.8}), ground, KelvinVoigt({"viscosity": 200.0}))
+    one = replace(one, velocities=np.tile(fly, (one.particle_count, 1)))
+    path = middle(one, Batch([one], fps=60, double=True).rollout(91).positions[0])
+    assert path[-1, 0] - path[0, 0] > 0.03  # 2 * 1 / 9.8 s of flight at 0.2 m/s
+    assert np.abs(path[75:, 0] - path[75, 0]).max() < 5e-5
+
+
+def test_a_hand_carries_a_body_and_lags_behind_by_its_weight():
+    # at rest the springs of all held points bear the weight: sum m w^2 d = M g; held everywhere: d = g / w^2
+    rate = 60.0
+    one = block(Gravity({"gravity_z": -9.8}), SoftGrip({"grip_rate": rate}), hold=lambda home: home[:, 0] < np.inf)
+    inside = one.points.masses > 0
+    one.points.held[~inside] = 0.0
+    path = Batch([one], fps=30, double=True).rollout(31).positions[0]
+    drop = middle(one, path)[-1] - middle(one, path)[0]
+    np.testing.assert_allclose(drop, [0, 0, -9.8 / rate**2], atol=2e-6)
+
+
+def test_quadratic_drag_slows_a_flying_body():
+    # M v' = -b v^2, b = C rho / 2 A / 4: 1 / v grows by b t / M
+    v0, drag = 3.0, 20.0
+    one = block(SurfaceDrag({"drag_coefficient": drag}), young=2e5)
+    one = replace(one, velocities=np.tile([v0, 0, 0], (one.particle_count, 1)))
+    path = middle(one, Batch([one], fps=60, double=True).rollout(31).positions[0])[:, 0]
+    b = drag * 1.2 / 2 * one.points.areas.sum() / 4 / MASS
+    t = np.arange(31) / 60
+    np.testing.assert_allclose(path - path[0], np.log(1 + b * v0 * t) / b, rtol=2e-3, atol=1e-9)  # first order: b v dt / 2 is 4e-4
+
+
+def test_forces_by_the_mass_are_those_on_nodes_where_they_do_not_ask_for_the_place():
+    # without a place, a sum over points by mass is one over nodes by mass
+    terms = (Gravity(), Wind({"wind_x": 1.0}), LinearDrag({"drag_damping": 2.0}))
+    pointed = block(*terms)
+    plain = replace(pointed, points=None)
+    paths = [Batch([s], fps=30, substeps=100, double=True).rollout(7).positions[0].numpy() for s in (pointed, plain)]
+    np.testing.assert_allclose(
+        *paths, atol=2e-3 * np.abs(paths[0][-1] - paths[0][0]).max()
+    )  # the wind asks how fast they are, each by itself
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    """A batch of two bodies that hands pull over a table, with every input asking for a gradient, and the gradients there."""
+    batch = Batch([gradients.solid(SoftGrip, s) for s in (0, 1)], fps=30, substeps=4 * gradients.SUBSTEPS, double=True, workers=1)
+    generator = torch.Generator().manual_seed(3)
+    batch.inputs.anchor = torch.randn(batch.inputs.anchor.shape, generator=generator, dtype=torch.float64) * 1e-5
+    inputs = gradients.leaves(batch)
+    gradients.loss(batch, inputs).backward()
+    return batch, inputs
+
+
+@pytest.mark.parametrize("name", ["x", "v", "mass", "path", "load", "held", "anchor"])
+def test_gradients_with_contact_and_grips_are_those_of_differences(pulled, name):
+    # central differences in float64, relative error below 1e-4
+    batch, inputs = pulled
+    gradient = getattr(inputs, name).grad
+    assert gradient.abs().max() > 1e-9
+    gradients.check(batch, inputs, name, gradients.some(gradient))
+
+
+def test_an_added_mass_makes_a_body_heavier_where_it_is():
+    # a hand that holds all of it gives way by the weight of each part: the mean by (1 + a) g / w^2 of the mass that the springs know
+    rate, share = 60.0, 0.5
+    heavy = AddedMass({"added_mass": share, "added_mass_x": 0.06, "added_mass_within": 0.02})
+    one = block(Gravity({"gravity_z": -9.8}), SoftGrip({"grip_rate": rate}), heavy, hold=lambda home: home[:, 0] < np.inf)
+    one.points.held[one.points.masses == 0] = 0.0
+    drop = one.points.positions(Batch([one], fps=30, double=True).rollout(61).positions[0].numpy()[-1]) - one.points.positions(
+        one.positions
+    )
+    inside, m = one.points.masses > 0, one.points.masses
+    assert (drop[:, 2] @ m) / MASS == pytest.approx(-(1 + share) * 9.8 / rate**2, rel=2e-3)
+    near = one.points.home[:, 0] > 0.04
+    assert drop[inside & near, 2].mean() < 1.2 * drop[inside & ~near, 2].mean()
+
+
+def test_a_batch_is_its_systems_to_the_last_bit():
+    ground = CoulombGround({"coulomb_normal_z": 1.0, "coulomb_offset": 0.0})
+    some = [block(Gravity({"gravity_z": -9.8}), ground, SoftGrip(), hold=lambda h, r=reach: h[:, 0] < r) for reach in (0.01, 0.02, 0.03)]
+    together = Batch(some, fps=30, substeps=40).rollout(7).positions
+    for one, path in zip(some, together, strict=True):
+        assert torch.equal(Batch([one], fps=30, substeps=40).rollout(7).positions[0], path)
+
+
+def test_going_on_is_not_stopping():
+    # what the ground remembers is carried on: two marches in a row are one
+    ground = CoulombGround({"coulomb_normal_z": 1.0, "coulomb_offset": 0.001})
+    batch = Batch([block(Gravity({"gravity_z": -9.8, "gravity_x": 2.0}), ground)], fps=30, substeps=40)
+    whole = batch.march(0, 6)[0]
+    first, x, v, carried = batch.march(0, 3, whole=True)
+    second = batch.march(3, 3, replace(batch.inputs, x=x, v=v, **vars(carried)))[0]
+    assert torch.equal(torch.cat([first, second]), whole)
+    assert carried.anchor.abs().max() > 1e-6
+
+
+def test_a_stable_step_counts_contacts_and_grips():
+    soft, hard = (block(SoftGrip({"grip_rate": r}), hold=lambda h: h[:, 0] < 0.02) for r in (1.0, 2000.0))
+    assert stable_step(hard) < 0.5 * stable_step(soft)
+    path = Batch([hard], fps=1 / (0.9 * stable_step(hard)), substeps=1, double=True).rollout(200)
+    assert path.diverged[0] < 0 and np.abs(path.positions[0][-1].numpy() - hard.positions).max() < 1e-3
+
+
+def test_bad_points_are_refused():
+    one = block()
+    with pytest.raises(ValueError, match="holds must be -1 or one of the 0 controllers"):
+        replace(one, points=replace(one.points, holds=np.zeros(len(one.points.holds), int)))
+    with pytest.raises(ValueError, match="weights must sum to 1"):
+        replace(one, points=replace(one.points, weights=2 * one.points.weights))
+    with pytest.raises(ValueError, match="masses of points must be >= 0"):
+        replace(one, points=replace(one.points, masses=-one.points.masses), masses=one.masses)
+    with pytest.raises(ValueError, match="with the term soft_grip must have material points"):
+        Batch([replace(one, points=None, terms=(NeoHookean(), SoftGrip()))], fps=30)
+    with pytest.raises(ValueError, match="system 1 is unlike system 0"):
+        Batch([one, replace(one, points=None)], fps=30)
+
+
+def test_drag_by_the_particle_counts_points_like_particles():
+    # a body law that does not ask for the mass acts at every point alike: said in its docstring, checked here for one
+    one = block(AirDrag({"air_drag": 1e-4}))
+    one = replace(one, velocities=np.tile([1.0, 0, 0], (one.particle_count, 1)))
+    path = middle(one, Batch([one], fps=600, substeps=10, double=True).rollout(3).positions[0])[:, 0]
+    count = len(one.points.home)
+    slowed = (path[1] - path[0]) - (path[2] - path[1])
+    assert slowed == pytest.approx(1e-4 * count / MASS / 600**2, rel=0.02)
