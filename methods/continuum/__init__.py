@@ -1,0 +1,1 @@
+"""A deformable solid as a continuum in an embedded grid: its body and its hands, told from a recording."""
