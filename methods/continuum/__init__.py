@@ -1,1 +1,1 @@
-"""A deformable solid as a continuum in an embedded grid: its body and its hands, told from a recording."""
+"""Twins as continua: a few global parameters of a body of finite elements, in an embedded grid, fitted to recordings."""
