@@ -29,7 +29,7 @@ __all__ = ["make_backward"]
 def make_backward(kit):
     """The kernel that pulls ``a`` back through the ``w.count`` substeps recorded in ``w``, the first being ``begin`` after ``frame``."""
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
-    half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
+    half, lanes, colliding, links, linked = kit.half, kit.lanes, kit.colliding, kit.links, kit.linked
     pa, ps, remembering, hinged = kit.vectors["axial"], kit.vectors["strand"], kit.remembering, kit.hinged
     load = kit.load
     load_axial, load_strand, load_hinge, load_facet, load_solid = (load[s] for s in ("axial", "strand", "hinge", "facet", "solid"))
@@ -89,7 +89,9 @@ def make_backward(kit):
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
         p_move = load_move(w.table, b)
-        share = w.table[b, links]
+        share = R(1.0)
+        if wp.static(linked):
+            share = w.table[b, links]
         first0, last0, _driver, _m = node(w, lo + lane // lanes, hi, lane % lanes, half)
         o0, rest0, stiffness0 = end(w, first0, last0)
         round = int(0)

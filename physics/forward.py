@@ -72,7 +72,7 @@ def recalling(kit):
 def make_forward(kit):
     """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first being ``begin`` after ``frame``."""
     R, vec, World = kit.R, kit.vec, kit.World
-    half, lanes, colliding, links = kit.half, kit.lanes, kit.colliding, kit.links
+    half, lanes, colliding, links, linked = kit.half, kit.lanes, kit.colliding, kit.links, kit.linked
     pa, ps, pc = kit.vectors["axial"], kit.vectors["strand"], kit.vectors["contact"]
     axial, body, velocity, move, contact = kit.laws.axial, kit.laws.body, kit.laws.velocity, kit.laws.move, kit.laws.contact
     watching, observer = kit.watching, kit.laws.observer
@@ -168,7 +168,9 @@ def make_forward(kit):
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
         p_move = load_move(w.table, b)
-        share = w.table[b, links]
+        share = R(1.0)
+        if wp.static(linked):
+            share = w.table[b, links]
         record = slots > 2
         for i in range(lo + lane, hi, width):
             if w.driver[i] >= 0:

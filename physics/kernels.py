@@ -103,6 +103,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         Adjoint=Adjoint,
         laws=laws.fuse(),
         links=laws.start("links"),
+        linked=bool(laws.stage("links")),
         colliding=bool(laws.stage("contact")),
         hinged=bool(laws.stage("hinge")),
         skinned=bool(laws.stage("facet")),

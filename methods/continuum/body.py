@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...datasets.scenario import Observed
-from ...physics.grids import Grid, embed
+from ...physics.grids import Grid, embed, principal_axes
 from .inside import Inside, inside_of
 from .kinds import GROWTH, KINDS, kind_of
 from .unseen import FOLDED, complete, has_depth, is_one_sided, shortest_chord, upwards
@@ -15,10 +15,11 @@ from .unseen import FOLDED, complete, has_depth, is_one_sided, shortest_chord, u
 __all__ = ["SolidBody", "body_of"]
 
 FEWEST = 20  # points in frame 0 that tell a body's shape
-CELLS = 150  # with which a body is quick to simulate
+CELLS = 48  # of a body that is chunky: its thickness in one cell would be too coarse along the others
 MOST_CELLS = 20_000  # that are simulated at all
 THINNEST = 0.004  # m: noise of a millimetre on either side of a skin makes nothing look 3 mm thick
 RESOLVED = 0.6  # of the points' spacing, below which a thickness is that of their noise
+SLIVER = 0.1  # see ``embed``
 LAYERS = 4  # samples across a cell
 SKIN = 0.6  # of a cell's size, from one point of the surface to the next
 CROWD = 10  # random points on the skin for each that is kept
@@ -53,7 +54,7 @@ def body_of(recording: Observed, *, kind: str | None = None, pitch: float | None
     """The body of a recording, from its points in frame 0.
 
     kind   of ``KINDS``; told from the recording unless given. A solid gets a grid
-    pitch  edge of a cell [m], which asks for a grid of any kind; half the thickness unless given, or all of it if that makes over 150 cells
+    pitch  edge of a cell [m], which asks for a grid of any kind; the thickness unless given, or what makes 48 cells if that is less
 
     Raises ValueError where there are too few points, or a grid is asked of a body that lies in a plane or is too thin.
     """
@@ -138,10 +139,7 @@ def _refuse_thin(inside, spacing, kind, where):
 
 def _grid(inside: Inside, pitch, where):
     """The grid and the samples that it was built from."""
-    if pitch is not None:
-        return _embedded(inside, pitch, where)
-    fine = _embedded(inside, inside.thickness / 2, where)
-    return fine if len(fine[0].cells) <= CELLS else _embedded(inside, inside.thickness, where)
+    return _embedded(inside, pitch or min(inside.thickness, (inside.volume / CELLS) ** (1 / 3)), where)
 
 
 def _embedded(inside, pitch, where):
@@ -150,7 +148,10 @@ def _embedded(inside, pitch, where):
     samples = inside.lattice(pitch / LAYERS)
     if len(samples) < 2 * LAYERS**2:
         raise ValueError(f"pitch must be smaller: cells of {1e3 * pitch:g} mm are larger than the body{where}")
-    return embed(samples, inside.volume, pitch), samples
+    axes = principal_axes(samples)
+    extent = np.ptp(samples @ axes.T, axis=0) + pitch / LAYERS
+    size = extent / np.maximum(1, np.round(extent / pitch))  # whole cells across: no slivers along flat sides
+    return embed(samples, inside.volume, size * (1 + 1e-9), axes=axes, sliver=SLIVER), samples
 
 
 def _spread(inside: Inside, distance):

@@ -24,8 +24,8 @@ class SoftGrip(Term):
     name = "soft_grip"
     stage = "grip"
     parameters = (
-        Parameter("grip_rate", 200.0, 1.0, 3000.0, "1/s", "angular frequency w of a held mass", "log"),
-        Parameter("grip_damping", 1.0, 0.0, 2.0, "-", "damping ratio z of that"),
+        Parameter("grip_rate", 1000.0, 1.0, 3000.0, "1/s", "angular frequency w of a held mass", "log"),
+        Parameter("grip_damping", 0.2, 0.0, 2.0, "-", "damping ratio z of that"),
     )
     law = carry
 

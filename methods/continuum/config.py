@@ -1,0 +1,33 @@
+"""What a fit of a continuum does, and the numbers that were chosen, each with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["DENSITY", "Config"]
+
+DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it show in a motion
+
+
+@dataclass(frozen=True)
+class Config:
+    """Effort and choices of a fit.
+
+    pitch       edge of a cell in thicknesses of the body: one layer of cells bends right to within 1 % (results/continuum.md)
+    cells       how many at most; a body that would have more gets larger ones
+    starts      of the search, spread over the priors
+    iterations  of the search, at most, in all rounds of it
+    recordings  that are fitted jointly, at most
+    frames      observed frames of each that are fitted, or None: all
+    members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
+    grips       whether what hands hold is fitted
+    """
+
+    pitch: float = 1.0
+    cells: int = 150
+    starts: int = 3
+    iterations: int = 6
+    recordings: int = 3
+    frames: int | None = None
+    members: int = 8
+    grips: bool = True

@@ -1,0 +1,220 @@
+"""A few global numbers of a body and its grips, fitted to what was seen of its recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...datasets.scenario import Observed
+from ...physics.terms.base import Term
+from .config import Config
+from .fitting import Steps, fit
+from .predictability import predictability
+from .result import Fit
+from .scene import REACH, SHIFT, Scene
+from .simulate import Simulator
+from .unknowns import Unknown, members
+
+__all__ = ["Estimate", "Sight", "estimate", "unknowns_of"]
+
+LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
+WIDTH = 0.1  # s, over which what can be predicted is smoothed
+REGIONS = 12  # in which tracks move together, and so count once
+APART = 4.0  # times as stiff, from one start to the next
+MOMENT = 0.1  # s: frames so near say the same
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What was seen of a scene: ``points`` (F, N, 3) m where ``seen`` (F, N), with ``noise`` m a coordinate."""
+
+    points: np.ndarray
+    seen: np.ndarray
+    noise: float
+
+    @classmethod
+    def of(cls, recording: Observed, frames: int | None) -> Sight:
+        count = recording.observed_frames if frames is None else min(frames, recording.observed_frames)
+        points, seen = recording.points[:count], recording.visible[:count].copy()
+        seen[:, recording.grips[recording.grips >= 0]] = False  # driven markers are told, not predicted
+        return cls(points, seen, max(LEAST_NOISE, jitter(points, seen)))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """values by name, the ``fit`` that they come from, ``spread`` (F, N) m a coordinate per recording that a sound twin may be off, notes."""
+
+    values: dict[str, float]
+    fit: Fit
+    spread: tuple[np.ndarray, ...]
+    notes: tuple[str, ...]
+
+
+def jitter(points, seen) -> float:
+    """Standard deviation of a coordinate [m] from second differences in the quieter half of frames: var(a - 2 b + c) = 6 var."""
+    bends = points[2:] - 2 * points[1:-1] + points[:-2]
+    known = seen[2:] & seen[1:-1] & seen[:-2]
+    rows = [np.median(np.abs(b[k])) for b, k in zip(bends, known, strict=True) if k.any()]
+    return float(np.quantile(rows, 0.25) / 0.6745 / np.sqrt(6)) if rows else LEAST_NOISE
+
+
+def unknowns_of(scenes: Sequence[Scene], config: Config) -> list[Unknown]:
+    """What is fitted of the material, and of each hand of each recording (``rec<r>_grip<k>_...``).
+
+    Priors: foams and rubbers from 1 kPa to 1 MPa at 100 kg/m^3; damping times of a few ms; a hand is where it is said to be to 5 mm.
+    """
+    log = np.log
+    found = [
+        Unknown("youngs_modulus", 3e4, 3e2, 3e6, "Pa", "log", prior=(log(3e4), log(5.0))),
+        Unknown("damping_time", 0.005, 5e-4, 0.05, "s", "log", prior=(log(0.006), log(2.0))),
+        Unknown("poisson", 0.3, 0.05, 0.45, "-", prior=(0.3, 0.07)),
+        Unknown("drag_damping", 0.4, 0.02, 5.0, "1/s", "log", prior=(log(0.4), log(2.0))),
+        Unknown("grip_rate", 1000.0, 300.0, 2000.0, "1/s", "log", prior=(log(1000.0), 0.4)),
+    ]
+    if any(scene.ground is not None for scene in scenes):
+        found.append(Unknown("coulomb_friction", 0.5, 0.05, 2.0, "-", "log", prior=(log(0.5), 0.5)))
+    for r, scene in enumerate(scenes):
+        for k, hand in enumerate(scene.hands):
+            if config.grips and len(hand.points):
+                at = f"rec{r}_grip{k}"
+                found += [Unknown(f"{at}_shift_{axis}", 0.0, -SHIFT, SHIFT, "m", prior=(0.0, 0.005)) for axis in "xyz"]
+                found.append(Unknown(f"{at}_reach", 1.0, 1 / REACH, REACH, "-", "log", prior=(0.0, 0.3)))
+    return found
+
+
+def own_values(values: dict, record: int) -> dict:
+    """``values`` as the scene of a recording names them."""
+    prefix = f"rec{record}_"
+    return {name.removeprefix(prefix): v for name, v in values.items() if name.startswith(prefix) or not name.startswith("rec")}
+
+
+def estimate(
+    recordings: Sequence[Observed],
+    scenes: Sequence[Scene],
+    config: Config,
+    *,
+    extra: Sequence[Term] = (),
+    extra_unknowns: Sequence[Unknown] = (),
+    fixed: dict[str, float] | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Callable[[str, float], None] | None = None,
+) -> Estimate:
+    """The likeliest numbers of ``scenes``, one for each of ``recordings``.
+
+    extra    further terms, with ``extra_unknowns`` among their parameters
+    fixed    values that are told and not fitted
+
+    A first search hears all tracks alike. Then members of an ensemble of sound twins, which differ in grip, material and mesh, say where
+    in the motion sound twins part, and a second search from there hears the rest. Raises AllDiverged where every start blows up.
+    """
+    fixed = fixed or {}
+    simulators = [Simulator(scene, tuple(extra), device) for scene in scenes]
+    sights = [Sight.of(recording, config.frames) for recording in recordings]
+    unknowns = [u for u in [*unknowns_of(scenes, config), *extra_unknowns] if u.name not in fixed]
+    names = [u.name for u in unknowns]
+    data = np.concatenate([s.points.ravel() for s in sights])
+    noise = np.concatenate([np.where(np.repeat(s.seen.ravel(), 3), s.noise, np.inf) for s in sights])
+
+    def predicted(rows, runners=simulators):
+        values = [fixed | row for row in rows]
+        found = []
+        for r, (runner, sight) in enumerate(zip(runners, sights, strict=True)):
+            paths = runner.run([own_values(v, r) for v in values], len(sight.points))[:, :, : sight.points.shape[1]]
+            found.append(paths.reshape(len(rows), -1))
+        return np.concatenate(found, 1)
+
+    def simulate(rows):
+        return predicted([dict(zip(names, row, strict=True)) for row in rows])
+
+    def told(stage, begin, share):
+        def tell(iteration, cost, _values):
+            if progress:
+                progress(f"{stage}, iteration {iteration + 1}: cost {cost:.4g}", begin + share * (iteration + 1) / config.iterations)
+
+        return tell
+
+    independent = sum(
+        s.seen.any(0).sum() and 3 * REGIONS * len(s.points) / (MOMENT * scene.fps) for s, scene in zip(sights, scenes, strict=True)
+    )
+    options = dict(independent=float(min(independent, np.isfinite(noise).sum())), seed=seed)
+    first = Steps(iterations=max(2, config.iterations // 2) if config.members else config.iterations)
+    rough = np.hypot(noise, 4 * min(s.noise for s in sights))
+    found = fit(
+        unknowns, simulate, data, rough, starts=_starts(unknowns, config.starts), steps=first, progress=told("search", 0.0, 0.5), **options
+    )
+    spread = np.zeros(len(data))
+    if config.members:
+        spread = _spread(found, unknowns, predicted, simulate, scenes, recordings, config, noise, sights, (extra, device, seed))
+        at = np.array([[found.values[name] for name in names]])
+        steps = Steps(iterations=max(1, config.iterations - first.iterations))
+        heard = np.hypot(noise, spread)
+        found = fit(unknowns, simulate, data, heard, starts=at, steps=steps, progress=told("refinement", 0.6, 0.4), **options)
+    cuts = np.cumsum([s.points.size for s in sights])[:-1]
+    each = [part.reshape(s.points.shape).mean(2) for part, s in zip(np.split(spread, cuts), sights, strict=True)]
+    return Estimate(fixed | found.values, found, tuple(each), found.notes)
+
+
+def _starts(unknowns, count) -> np.ndarray:
+    """(count, n) values: the usual ones, and bodies that are softer and stiffer by turns, which no search finds from far away."""
+    rows = []
+    for k in range(count):
+        power = (k + 1) // 2 * (1 if k % 2 else -1)
+        rows.append([min(max(u.value * APART**power, u.low), u.high) if u.name == "youngs_modulus" else u.value for u in unknowns])
+    return np.unique(np.array(rows), axis=0)
+
+
+def _spread(found, unknowns, predicted, simulate, scenes, recordings, config, noise, sights, options):
+    """(R,) m, what sound twins of the same recordings are off that no choice of the unknowns absorbs."""
+    extra, device, seed = options
+    names = [u.name for u in unknowns]
+    jacobian, reference = _jacobian(found, simulate)
+    ranges = [replace(u, prior=(found.scaled[k], u.prior[1])) for k, u in enumerate(unknowns) if u.prior and _is_nuisance(u.name)]
+    drawn = members(ranges, config.members, choices={"mesh": (0, 1)}, seed=seed)
+    coarser = [
+        Simulator(s, tuple(extra), device)
+        for s in (scene.regridded(recording, 1.25) for scene, recording in zip(scenes, recordings, strict=True))
+    ]
+    runs = []
+    for mesh, runners in ((0, None), (1, coarser)):
+        rows = [found.values | {n: v for n, v in row.items() if n != "mesh"} for row in drawn if row["mesh"] == mesh]
+        if rows:
+            runs.append(predicted(rows, runners) if runners else predicted(rows))
+    block = np.concatenate([_blocks(s, r) for r, s in enumerate(sights)])
+    time = np.concatenate(
+        [np.repeat(np.arange(len(s.points)) / scene.fps, s.points[0].size) for s, scene in zip(sights, scenes, strict=True)]
+    )
+    precision = [0.0 if u.prior is None else u.prior[1] ** -2 for u in unknowns]
+    known = predictability(
+        np.concatenate(runs), reference, jacobian, noise, block=block, time=time, width=WIDTH, precision=np.array(precision)
+    )
+    del names
+    return known.spread
+
+
+def _is_nuisance(name: str) -> bool:
+    return "grip" in name or name in ("poisson", "drag_damping", "damping_time", "coulomb_friction")
+
+
+def _jacobian(found: Fit, simulate):
+    """((R, n) derivative of the prediction in the scaled space, (R,) prediction) where a fit ended."""
+    at, unknowns = found.scaled, found.unknowns
+    rows = [at.copy() for _ in range(len(at) + 1)]
+    for k, u in enumerate(unknowns):
+        rows[k][k] += u.difference if u.holds(at[k] + u.difference) else -u.difference
+    runs = simulate(np.array([[u.decode(s) for u, s in zip(unknowns, row, strict=True)] for row in rows]))
+    turned = np.array([rows[k][k] - at[k] for k in range(len(at))])
+    slopes = (runs[:-1] - runs[-1]) / turned[:, None]
+    return np.nan_to_num(slopes.T), runs[-1]
+
+
+def _blocks(sight: Sight, record: int):
+    """(R,) which of ``REGIONS`` parts of a body each coordinate belongs to: those that lie together in frame 0."""
+    from scipy.cluster.vq import kmeans2
+
+    count = sight.points.shape[1]
+    places = np.nan_to_num(sight.points[0])
+    label = kmeans2(places, min(REGIONS, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
+    return np.tile(np.repeat(record * REGIONS + label, 3), len(sight.points))
