@@ -9,7 +9,7 @@ import numpy as np
 from ...datasets.scenario import Observed
 from ...physics.grids import Grid
 from .gridding import grid_of, spread_over
-from .inside import Inside, inside_of
+from .inside import inside_of
 from .kinds import GROWTH, KINDS, kind_of
 from .unseen import FOLDED, complete, has_depth, is_one_sided, shortest_chord, upwards
 

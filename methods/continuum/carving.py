@@ -8,6 +8,7 @@ __all__ = ["FACES", "Carving"]
 
 WITHIN = 0.98  # share of the points that the inside must reach, in one piece; the rest may be errors of measurement
 FACES = [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]  # of a tetrahedron, each across from a corner
+FLAT = 1e-3  # of the volume that edges of a tetrahedron would span at right angles
 
 
 class Carving:
@@ -20,7 +21,8 @@ class Carving:
         self.points, self.mesh, self.neighbours = points, mesh, mesh.neighbors
         corners = points[mesh.simplices]
         edges = corners[:, 1:] - corners[:, :1]
-        flat = np.abs(np.linalg.det(edges)) < 1e-9 * np.linalg.norm(edges, axis=2).prod(1)
+        bulk = np.abs(np.linalg.det(edges)) / np.linalg.norm(edges, axis=2).prod(1)
+        self.flat, flat = bulk < FLAT, bulk < 1e-9
         edges[flat] = np.eye(3)
         centre = np.linalg.solve(edges, (edges**2).sum(-1, keepdims=True) / 2)[..., 0]
         self.spheres = np.where(flat, np.inf, np.linalg.norm(centre, axis=1))
@@ -39,7 +41,16 @@ class Carving:
         way = wide & open_[here] & open_[there]
         graph = coo_matrix((np.ones(way.sum()), (here[way], there[way])), (count + 1,) * 2)
         label = connected_components(graph, directed=False)[1]
-        return label[:-1] != label[-1]
+        return self._peeled(label[:-1] != label[-1])
+
+    def _peeled(self, kept):
+        """``kept`` without flat tetrahedra that hang on by one side: they are nothing but skin, twice."""
+        while True:
+            joined = (np.append(kept, False)[self.neighbours]).sum(1)  # -1, the outside, is the last
+            loose = kept & self.flat & (joined <= 1)
+            if not loose.any():
+                return kept
+            kept = kept & ~loose
 
     def whole(self, radius):
         """Whether what is left is in one piece, joined by triangles, and reaches nearly all points."""

@@ -94,14 +94,17 @@ class Inside:
             thick[near], free[near] = 2 * depth[i], False
         return float(np.median(thick))
 
-    def lattice(self, step: float) -> np.ndarray:
-        """(P, 3) m, evenly spaced points inside, about ``step`` [m] apart along the principal axes of the body."""
-        from ...physics.grids import principal_axes
+    @property
+    def corners(self) -> np.ndarray:
+        """(C, 3) m, the points that the body reaches."""
+        return self.points[np.unique(self.tetrahedra)]
 
-        axes = principal_axes(self.points)
-        along = self.points[np.unique(self.tetrahedra)] @ axes.T
+    def lattice(self, step: float, axes=None) -> np.ndarray:
+        """(P, 3) m, evenly spaced points inside, about ``step`` [m] apart along the rows of ``axes`` (3, 3), the room's unless given."""
+        axes = np.eye(3) if axes is None else axes
+        along = self.corners @ axes.T
         low, extent = along.min(0), np.ptp(along, axis=0)
-        count = np.maximum(np.ceil(extent / step).astype(int), 1)
+        count = np.maximum(np.ceil(extent / step - 1e-3).astype(int), 1)
         ticks = [low[k] + (np.arange(count[k]) + 0.5) * extent[k] / count[k] for k in range(3)]
         at = np.stack(np.meshgrid(*ticks, indexing="ij"), -1).reshape(-1, 3) @ axes
         cell = self.mesh.find_simplex(at)

@@ -82,13 +82,13 @@ def _rms(vectors):
 def _noise(points, visible):
     """White noise [m] of a coordinate of ``points`` (F, n, 3), from third differences: a smooth motion leaves only noise in them.
 
-    Their variance is 1 + 9 + 9 + 1 = 20 times its own. The lower quartile of the tracks, so that fast motion does not count as noise.
+    Their variance is 1 + 9 + 9 + 1 = 20 times its own. The median of the tracks' medians, so that fast motion hardly counts as noise.
     """
     third = np.diff(np.where(visible[..., None], points, np.nan), 3, axis=0)
     size = np.sort(np.abs(third), axis=0)  # what is NaN comes last
     known = np.isfinite(size).sum(0)
     middle = np.take_along_axis(size, np.maximum(known // 2, 0)[None], axis=0)[0][known > 3] if len(size) else np.zeros(0)
-    return float(np.quantile(middle, 0.25) / 0.6745 / np.sqrt(20)) if len(middle) else 0.0
+    return float(np.median(middle) / 0.6745 / np.sqrt(20)) if len(middle) else 0.0
 
 
 def _field(points, velocity, at, *, rounds=ROUNDS):
