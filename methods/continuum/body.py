@@ -7,22 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...datasets.scenario import Observed
-from ...physics.grids import Grid, embed, principal_axes
-from .inside import Inside, inside_of
+from ...physics.grids import Grid
+from .gridding import grid_of, spread_over
+from .inside import inside_of
 from .kinds import GROWTH, KINDS, kind_of
 from .unseen import FOLDED, complete, has_depth, is_one_sided, shortest_chord, upwards
 
 __all__ = ["SolidBody", "body_of"]
 
 FEWEST = 20  # points in frame 0 that tell a body's shape
-CELLS = 48  # of a body that is chunky: its thickness in one cell would be too coarse along the others
-MOST_CELLS = 20_000  # that are simulated at all
 THINNEST = 0.004  # m: noise of a millimetre on either side of a skin makes nothing look 3 mm thick
 RESOLVED = 0.6  # of the points' spacing, below which a thickness is that of their noise
-SLIVER = 0.1  # see ``embed``
-LAYERS = 4  # samples across a cell
+MARKERS = 0.1  # of a body's points: fewer tracks are markers on it, which stand off its skin
 SKIN = 0.6  # of a cell's size, from one point of the surface to the next
-CROWD = 10  # random points on the skin for each that is kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +51,8 @@ def body_of(recording: Observed, *, kind: str | None = None, pitch: float | None
     """The body of a recording, from its points in frame 0.
 
     kind   of ``KINDS``; told from the recording unless given. A solid gets a grid
-    pitch  edge of a cell [m], which asks for a grid of any kind; the thickness unless given, or what makes 48 cells if that is less
+    pitch  edge of a cell [m], which asks for a grid of any kind; unless given about half the thickness, or all of it where that makes over
+           150 cells, such that whole cells span the body
 
     Raises ValueError where there are too few points, or a grid is asked of a body that lies in a plane or is too thin.
     """
@@ -82,18 +80,21 @@ def body_of(recording: Observed, *, kind: str | None = None, pitch: float | None
     _refuse_thin(inside, spacing, kind, where)
     if evidence["growth"] > GROWTH:
         notes.append(f"how much its points enclose is uncertain: {100 * evidence['growth']:.0f} % more if gaps a fifth wider are closed")
-    grid, samples = _grid(inside, pitch, where)
-    surface = _spread(inside, SKIN * grid.size.min())
+    grid, samples = grid_of(inside, pitch, where)
+    surface = spread_over(inside, SKIN * grid.size.min())
     return SolidBody(
         kind, evidence, samples, inside.volume, inside.thickness, surface, inside.area, grid, recording.structure, tuple(notes)
     )
 
 
 def _known(recording, where):
-    """Points of the body in frame 0 that were seen, are driven or come from a shape prior, and their spacing [m]."""
+    """Points of the body in frame 0 that were seen, are driven or come from a shape prior, and their spacing [m]; no few markers."""
     from scipy.spatial import cKDTree
 
     tracked = recording.visible[0].copy()
+    given = len(recording.surface) + len(recording.interior)
+    if tracked.sum() < MARKERS * given:
+        tracked[:] = False
     tracked[recording.grips[recording.grips >= 0]] = True
     points = np.concatenate([recording.points[0, tracked], recording.surface, recording.interior])
     points = np.unique(points, axis=0)
@@ -119,7 +120,7 @@ def _ungridded(recording, kind, evidence, inside, notes):
     nothing = np.zeros((0, 3))
     if inside is None:
         return SolidBody(kind, evidence, nothing, 0.0, 0.0, nothing, 0.0, None, recording.structure, tuple(notes))
-    surface = _spread(inside, max(SKIN * inside.thickness, inside.radius / 2))
+    surface = spread_over(inside, max(SKIN * inside.thickness, inside.radius / 2))
     samples = inside.scattered(1000)
     return SolidBody(
         kind, evidence, samples, inside.volume, inside.thickness, surface, inside.area, None, recording.structure, tuple(notes)
@@ -135,33 +136,3 @@ def _refuse_thin(inside, spacing, kind, where):
             f"a {kind} {1e3 * inside.thickness:.1f} mm thick is too thin to grid: points {1e3 * spacing:.1f} mm apart tell "
             f"{1e3 * least:.1f} mm and more{where}"
         )
-
-
-def _grid(inside: Inside, pitch, where):
-    """The grid and the samples that it was built from."""
-    return _embedded(inside, pitch or min(inside.thickness, (inside.volume / CELLS) ** (1 / 3)), where)
-
-
-def _embedded(inside, pitch, where):
-    if (count := inside.volume / pitch**3) > MOST_CELLS:
-        raise ValueError(f"pitch must be larger: {count:.0f} cells of {1e3 * pitch:g} mm are more than {MOST_CELLS}{where}")
-    samples = inside.lattice(pitch / LAYERS)
-    if len(samples) < 2 * LAYERS**2:
-        raise ValueError(f"pitch must be smaller: cells of {1e3 * pitch:g} mm are larger than the body{where}")
-    axes = principal_axes(samples)
-    extent = np.ptp(samples @ axes.T, axis=0) + pitch / LAYERS
-    size = extent / np.maximum(1, np.round(extent / pitch))  # whole cells across: no slivers along flat sides
-    return embed(samples, inside.volume, size * (1 + 1e-9), axes=axes, sliver=SLIVER), samples
-
-
-def _spread(inside: Inside, distance):
-    """(S, 3) m, points on the skin that are at least ``distance`` [m] apart and leave no gap."""
-    from scipy.spatial import cKDTree
-
-    points = inside.skin(int(CROWD * max(20, inside.area / distance**2)))
-    free, kept = np.ones(len(points), bool), []
-    for i, near in enumerate(cKDTree(points).query_ball_point(points, distance)):
-        if free[i]:
-            kept.append(i)
-            free[near] = False
-    return points[kept]

@@ -16,7 +16,8 @@ HAND = 0.05  # m, between neighbouring controllers of one hand, at all times
 MOMENTS = 32  # frames in which that is looked up
 NARROW = 3e-3  # m, RMS: controllers within that of a line do not tell the turn about it
 ROUNDS = 4  # of weights that trust single controllers less, the farther they are from the rigid motion of all
-SOFT = 1.5  # spacings of the body's points: from a hand to where it holds half
+SOFT = 1.5  # spacings of the body's points, from a hand to where it holds half
+FINGER = 0.02  # m: and at least that, for tracked points lie on the back of fingers, and what is held under them
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +48,14 @@ class Hand:
 def hands_of(recording: Observed, *, radius: float | None = None) -> tuple[Hand, ...]:
     """The hands of a recording, and what each holds, from who moved with whom in the frames that were observed.
 
-    radius [m] from a hand's controllers at which it holds a point half; 1.5 spacings of the structure points unless given.
+    radius [m] from a hand's controllers at which it holds a point half; 2 cm, or 1.5 spacings of the structure points where that is more,
+    unless given.
 
     A driven marker holds its point, firmly, and no other. Raises ValueError for a hand that holds nothing though it came near the body.
     """
     if radius is not None and not (np.isfinite(radius) and radius > 0):
         raise ValueError(f"radius must be > 0 [m], got {radius}")
-    radius = SOFT * recording.spacing if radius is None else radius
+    radius = max(SOFT * recording.spacing, FINGER) if radius is None else radius
     return tuple(_hand(recording, k, members, radius) for k, members in enumerate(groups_of(recording.controllers)))
 
 

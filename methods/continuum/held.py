@@ -61,7 +61,7 @@ def firmness_of(recording: Observed, number: int, hand, radius: float) -> tuple[
     firmness[near] = np.maximum(firmness[near], falloff(distance[near], radius) * moves)
     firmness[firmness < LEAST] = 0.0
     if not firmness.any():
-        notes += _nothing_held(recording, number, free, distance[known].min(initial=np.inf))
+        notes = _nothing_held(recording, number, free, distance[known].min(initial=np.inf))
     return firmness, notes
 
 

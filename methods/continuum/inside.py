@@ -12,10 +12,11 @@ from functools import cached_property
 
 import numpy as np
 
+from .carving import FACES, Carving
+
 __all__ = ["Inside", "inside_of"]
 
 ASIDE = 1e-4  # of the ball's radius, by which points are moved, so that no five of them lie on a sphere
-WITHIN = 0.98  # share of the points that the inside must reach, in one piece; the rest may be errors of measurement
 RADII = 1.15 ** np.arange(7)  # of the ball, tried in turn, in the points' spacings: larger ones fill the bays of a bent sheet
 MARGIN = 1.2  # by which the ball is larger than the smallest one that leaves the body in one piece
 DENSE = 20_000  # points on the skin to which depths are measured
@@ -53,7 +54,7 @@ class Inside:
     @cached_property
     def facets(self) -> np.ndarray:
         """(F, 3) the skin: triangles that belong to one tetrahedron only."""
-        faces = np.sort(self.tetrahedra[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+        faces = np.sort(self.tetrahedra[:, FACES].reshape(-1, 3), axis=1)
         faces, times = np.unique(faces, axis=0, return_counts=True)
         return faces[times == 1]
 
@@ -93,14 +94,17 @@ class Inside:
             thick[near], free[near] = 2 * depth[i], False
         return float(np.median(thick))
 
-    def lattice(self, step: float) -> np.ndarray:
-        """(P, 3) m, evenly spaced points inside, about ``step`` [m] apart along the principal axes of the body."""
-        from ...physics.grids import principal_axes
+    @property
+    def corners(self) -> np.ndarray:
+        """(C, 3) m, the points that the body reaches."""
+        return self.points[np.unique(self.tetrahedra)]
 
-        axes = principal_axes(self.points)
-        along = self.points[np.unique(self.tetrahedra)] @ axes.T
+    def lattice(self, step: float, axes=None) -> np.ndarray:
+        """(P, 3) m, evenly spaced points inside, about ``step`` [m] apart along the rows of ``axes`` (3, 3), the room's unless given."""
+        axes = np.eye(3) if axes is None else axes
+        along = self.corners @ axes.T
         low, extent = along.min(0), np.ptp(along, axis=0)
-        count = np.maximum(np.ceil(extent / step).astype(int), 1)
+        count = np.maximum(np.ceil(extent / step - 1e-3).astype(int), 1)
         ticks = [low[k] + (np.arange(count[k]) + 0.5) * extent[k] / count[k] for k in range(3)]
         at = np.stack(np.meshgrid(*ticks, indexing="ij"), -1).reshape(-1, 3) @ axes
         cell = self.mesh.find_simplex(at)
@@ -111,7 +115,7 @@ def inside_of(points, spacing: float, *, radius: float | None = None) -> Inside:
     """What ``points`` (M, 3) [m], ``spacing`` [m] apart, enclose.
 
     radius [m] of the ball; unless given a fifth more than the smallest one that leaves nearly all points at one connected inside.
-    Raises ValueError where there are fewer than five points or they lie in a plane.
+    Raises ValueError where there are fewer than five points, or they lie in a plane or in a row.
     """
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -122,71 +126,16 @@ def inside_of(points, spacing: float, *, radius: float | None = None) -> Inside:
         raise ValueError(f"the spacing of a body's points must be > 0 [m], got {spacing}")
     if np.linalg.svd(points - points.mean(0), compute_uv=False)[2] < ASIDE * spacing * np.sqrt(len(points)):
         raise ValueError(f"the {len(points)} points of the body lie in a plane, so that they have no inside")
-    carving = _Carving(points + np.random.default_rng(0).uniform(-ASIDE, ASIDE, points.shape) * spacing)
+    carving = Carving(points + np.random.default_rng(0).uniform(-ASIDE, ASIDE, points.shape) * spacing)
     if radius is None:
         radius = MARGIN * next((r for r in spacing * RADII if carving.whole(r)), spacing * RADII[-1])
-    return Inside(carving.points, carving.mesh, carving.kept(radius), float(radius))
-
-
-class _Carving:
-    """The tetrahedra of ``points`` and how wide the ways between them are."""
-
-    def __init__(self, points):
-        from scipy.spatial import Delaunay
-
-        mesh = Delaunay(points)
-        self.points, self.mesh, self.neighbours = points, mesh, mesh.neighbors
-        corners = points[mesh.simplices]
-        edges = corners[:, 1:] - corners[:, :1]
-        flat = np.abs(np.linalg.det(edges)) < 1e-9 * np.linalg.norm(edges, axis=2).prod(1)
-        edges[flat] = np.eye(3)
-        centre = np.linalg.solve(edges, (edges**2).sum(-1, keepdims=True) / 2)[..., 0]
-        self.spheres = np.where(flat, np.inf, np.linalg.norm(centre, axis=1))
-        self.circles = np.stack([_circumradius(np.delete(corners, k, axis=1)) for k in range(4)], 1)  # across from corner k
-
-    def kept(self, radius):
-        """(all,) bool: the tetrahedra that a ball of ``radius`` does not reach."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-
-        count = len(self.mesh.simplices)
-        beyond = np.where(self.neighbours < 0, count, self.neighbours)  # one more node: what is outside of all
-        open_ = np.append(self.spheres > radius, True)
-        here = np.repeat(np.arange(count), 4)
-        there, wide = beyond.ravel(), self.circles.ravel() > radius
-        way = wide & open_[here] & open_[there]
-        graph = coo_matrix((np.ones(way.sum()), (here[way], there[way])), (count + 1,) * 2)
-        label = connected_components(graph, directed=False)[1]
-        return label[:-1] != label[-1]
-
-    def whole(self, radius):
-        """Whether what is left is in one piece, joined by triangles, and reaches nearly all points."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-
-        kept = self.mesh.simplices[self.kept(radius)]
-        if not len(kept):
-            return False
-        faces = np.sort(kept[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
-        _, face = np.unique(faces, axis=0, return_inverse=True)
-        owner, face = np.repeat(np.arange(len(kept)), 4), face.ravel() + len(kept)
-        graph = coo_matrix((np.ones(len(face)), (owner, face)), (face.max() + 1,) * 2)
-        label = connected_components(graph, directed=False)[1][: len(kept)]
-        largest = kept[label == np.bincount(label).argmax()]
-        return len(np.unique(largest)) >= WITHIN * len(self.points)
-
-
-def _circumradius(triangles):
-    a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    twice = np.linalg.norm(np.cross(a, b), axis=1)
-    product = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1) * np.linalg.norm(a - b, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(twice > 0, product / (2 * twice), np.inf)
+    kept = carving.kept(radius)
+    if not kept.any():
+        raise ValueError(f"the {len(points)} points of the body enclose nothing that a ball of {1e3 * radius:.1f} mm does not reach")
+    return Inside(carving.points, carving.mesh, kept, float(radius))
 
 
 def _mixed(points, elements, sizes, count):
     rng = np.random.default_rng(0)
-    if not sizes.sum() > 0:
-        raise ValueError("the points of the body enclose nothing")
     chosen = elements[np.searchsorted(np.cumsum(sizes), (np.arange(count) + 0.5) / count * sizes.sum())]
     return np.einsum("pk,pkd->pd", rng.dirichlet(np.ones(elements.shape[1]), count), points[chosen])

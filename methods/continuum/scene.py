@@ -12,7 +12,7 @@ from ...physics.grids import Grid
 from ...physics.points import Points, material_points
 from .body import SolidBody, body_of
 from .config import DENSITY
-from .hands import Hand, frames_of, hands_of
+from .hands import FINGER, SOFT, Hand, frames_of, hands_of
 from .held import falloff
 
 __all__ = ["REACH", "Grasp", "Scene", "posed"]
@@ -72,7 +72,7 @@ class Scene:
     @classmethod
     def in_grid(cls, recording: Observed, grid: Grid, surface, area: float, notes=()) -> Scene:
         """The scene of a recording whose body fills ``grid`` in frame 0."""
-        radius = 1.5 * recording.spacing
+        radius = max(SOFT * recording.spacing, FINGER)
         hands = hands_of(recording, radius=radius)
         known = dict(structure=recording.structure, counts=recording.counts, controllers=recording.controllers, grips=recording.grips)
         known |= dict(gravity=recording.gravity, ground=_below(recording.ground, surface), fps=recording.fps)
@@ -130,7 +130,7 @@ class Scene:
         return (weight * agrees[who]).sum(1) / weight.sum(1)
 
     def firmness(self, shift, reach) -> np.ndarray:
-        """(n,) how firmly each point of the grasp is held, by hands whose grips are ``shift`` (H, 3) [m] off and ``reach`` (H,) times as wide."""
+        """(n,) how firmly each point of the grasp is held, where grips are ``shift`` (H, 3) [m] off and ``reach`` (H,) times as wide."""
         from scipy.spatial import cKDTree
 
         found = np.zeros(len(self.grasp.points))

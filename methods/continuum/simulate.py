@@ -124,7 +124,7 @@ class Simulator:
         return {}
 
     def _observed(self, path):
-        """(T, M, 3) structure points of a path (T, N, 3) of the nodes, NaN once it blew up; driven markers are carried along by their hands."""
+        """(T, M, 3) structure points of a path (T, N, 3) of the nodes, NaN once it blew up."""
         nodes, weights = self.scene.embedding
         path = path.double().cpu().numpy()
         found = np.einsum("mk,tmki->tmi", weights, path[:, nodes])

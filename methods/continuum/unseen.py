@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 
 from ...datasets.scenario import Observed
@@ -13,6 +15,7 @@ LAYERS = 0.5  # share of the inner columns with a second layer from which on the
 RESTING = 0.5  # of its width, below which a gap between what was seen of a body and the ground belongs to the body
 LOWEST = 0.05  # quantile of heights that is the rim, and from above the top: single points err
 FOLDED = 0.7  # of its length, to which a chord twice as long as a body is high shrinks: solids to 0.85, cloths to 0.3 to 0.65
+MOVED = 0.5  # of a chord's length, by which half of the tracks move where it had occasion to shrink
 MOST_PAIRS = 3000  # that are looked at
 CHORDS = 0.01  # quantile of all chords in all frames that is looked at
 
@@ -38,9 +41,10 @@ def has_depth(recording: Observed, points, up, spacing: float, ground: float | N
 
 
 def shortest_chord(recording: Observed, length: float) -> float:
-    """To which share of their distance in frame 0 tracks about ``length`` [m] apart come at times, at the 1 % quantile; NaN if none says.
+    """To which share of their distance in frame 0 tracks about ``length`` [m] apart come at times, at the 1 % quantile.
 
-    A body that is t thick cannot be bent to a radius much less than t, which leaves 0.84 of a chord 2 t long.
+    NaN where nothing says so: there are no such tracks, or they hardly went farther than half that length. A body that is t thick cannot
+    be bent to a radius much less than t, which leaves 0.84 of a chord 2 t long.
     """
     from scipy.spatial import cKDTree
 
@@ -48,6 +52,11 @@ def shortest_chord(recording: Observed, length: float) -> float:
     if len(recording.points) < 2 or not len(seen):
         return float("nan")
     tracks = np.where(recording.visible[:, seen, None], recording.points[:, seen], np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a track that is not seen again
+        gone = np.nanmedian(np.nanmax(np.linalg.norm(tracks[1:] - tracks[0], axis=-1), axis=0))
+    if not gone > MOVED * length:
+        return float("nan")
     pairs = cKDTree(tracks[0]).query_pairs(1.25 * length, output_type="ndarray")
     start = np.linalg.norm(tracks[0, pairs[:, 0]] - tracks[0, pairs[:, 1]], axis=1)
     pairs = pairs[start > 0.8 * length]
