@@ -51,8 +51,8 @@ def body_of(recording: Observed, *, kind: str | None = None, pitch: float | None
     """The body of a recording, from its points in frame 0.
 
     kind   of ``KINDS``; told from the recording unless given. A solid gets a grid
-    pitch  edge of a cell [m], which asks for a grid of any kind; unless given about half the thickness, or all of it where that makes over
-           150 cells, such that whole cells span the body
+    pitch  edge of a cell [m], which asks for a grid of any kind; unless given as ``gridding.grid_of``
+           says, such that whole cells span the body
 
     Raises ValueError where there are too few points, or a grid is asked of a body that lies in a plane or is too thin.
     """
