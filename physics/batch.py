@@ -92,6 +92,7 @@ class Batch:
         self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
         self.remembering = bool(self.laws.stage("strand"))
         self.filled, self.easing = bool(self.laws.stage("solid")), bool(self.laws.stage("viscous"))
+        self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
         if self.easing and self.colliding:
             raise ValueError("a system can have terms of the stage 'viscous' or of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
@@ -164,7 +165,7 @@ class Batch:
         self.facet_starts = facets["facet_start"]
         cells = assemble_cells(systems, start, count, self.rounds.astype(int))
         self.cell_starts = cells["cell_start"]
-        solid = {name: cells.pop(name) for name in ("points", "cell_volume", "half", "ease")}
+        solid = {name: cells.pop(name) for name in ("points", "cell_volume", "cell_home", "cell_at", "half", "ease")}
         real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
         self.constants |= {k: self._real(v) for k, v in {**real, **solid}.items()}
         self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells}.items()}
@@ -174,6 +175,7 @@ class Batch:
         self.rolled = [(self._ints(rows).long(), self._ints(hinges).long()) for rows, hinges in around]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
+        self.cell_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.cell_starts))).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
         self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
         self.ends = self._ints(ends).long()
@@ -193,6 +195,7 @@ class Batch:
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
             memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
+            cell_memory=self._real(np.zeros((self.cell_starts[-1], 8, self.laws.cell_memories))),
             **{k: self._real(v) for k, v in hinged.items()},
         )
 
@@ -276,9 +279,9 @@ class Batch:
         inputs = self.prepare(inputs)
         if self.resident and frames and (self.resident.fits_back or not self._asks_back(inputs)):
             out, x, v = self.resident.march(frame, frames, inputs)
-            return (out, x, v, Carried(inputs.memory, inputs.directors)) if whole else (out, x, v)
-        out, x, v, memory, directors = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
-        return (out, x, v, Carried(memory, directors)) if whole else (out, x, v)
+            return (out, x, v, Carried(inputs.memory, inputs.directors, inputs.cell_memory)) if whole else (out, x, v)
+        out, x, v, *carried = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
+        return (out, x, v, Carried(*carried)) if whole else (out, x, v)
 
     def _asks_back(self, inputs):
         return torch.is_grad_enabled() and any(getattr(inputs, f.name).requires_grad for f in fields(Inputs))
@@ -334,6 +337,8 @@ class Batch:
             kept += self.node_count * 3 * (int(self.rounds.max()) + 1)
         if self.remembering:
             kept += len(self.constants["spring"]) * self.laws.memories
+        if self.cells_remembering:
+            kept += self.inputs.cell_memory.numel()
         return kept * self.dtype.itemsize
 
     def forward(self, world: World, frame: int, stretch: Stretch) -> None:

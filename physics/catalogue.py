@@ -39,7 +39,7 @@ def _check_name(of: str, name) -> None:
 
 
 def _check_law(term: type[Term]) -> None:
-    for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": term.stage == "strand"}.items():
+    for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": "q" in ARGUMENTS.get(term.stage, ())}.items():
         law = getattr(term, name)
         if not wanted and law is not None:
             raise ValueError(f"a term of stage {term.stage!r} has no {name}")

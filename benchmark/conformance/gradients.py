@@ -14,6 +14,7 @@ from ...physics.hinges import natural_curvature
 from ...physics.system import System
 from ...physics.terms import Bending, ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, NeoHookean, Springs
 from ...physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
+from ...physics.terms.base import CELLS
 from .checking import Skipped, require
 
 __all__ = [
@@ -57,7 +58,7 @@ REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others
 
 def of_every_parameter(term) -> None:
     """Raises AssertionError unless the gradient of a roll-out in each parameter of ``term`` is what differences say."""
-    if term.stage in ("solid", "viscous"):
+    if term.stage in CELLS:
         batch = Batch([solid(term, seed) for seed in (0, 1)], fps=30, substeps=2 * SUBSTEPS, double=True, workers=1)
     else:
         batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
@@ -78,12 +79,14 @@ def kinds_with(term):
 
 
 def solid(term, seed=0):
-    """Cells of foam that a hand holds at one end and that fall and wobble, with ``term`` at some of each of its parameters."""
+    """Cells of foam that a hand holds at one end and that fall and wobble, with ``term`` at a typical effect, or some of each of its parameters."""
     rng = np.random.default_rng(seed)
     samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.004 for n in (12, 6, 5)], indexing="ij"), -1).reshape(-1, 3)
     grid = embed(samples, 0.048 * 0.024 * 0.02, 0.02, offset=rng.random(3))
     held = np.flatnonzero(grid.positions[:, 0] < grid.positions[:, 0].min() + 0.01)
-    own = {p.name: VALUES.get(p.name, p.decode(0.4)) for p in term.parameters} if term is not NeoHookean else {}
+    some = {p.name: p.value if term.effect else p.decode(0.4) for p in term.parameters if term is not NeoHookean}
+    given = VALUES | (term.effect.typical if term.effect else {})
+    own = some | {name: given[name] for name in some if name in given}
     return System(
         positions=grid.positions + rng.normal(size=grid.positions.shape) * 2e-4,
         velocities=rng.normal(size=grid.positions.shape) * 0.1,
@@ -168,7 +171,7 @@ def central_difference(batch, inputs, name, index, **window):
     flat = values[name].view(-1)
     u = abs(flat[index].item())
     h = min(1e-7 * max(0.1, u), 1e-6 * u if name == "table" and u else 1.0)  # some parameters are small
-    h = {"directors": 1e-6, "memory": 1e-7}.get(name, h)  # which matter little: rounding counts
+    h = {"directors": 1e-6, "memory": 1e-7, "cell_memory": 1e-7}.get(name, h)  # which matter little: rounding counts
     sides = []
     with torch.no_grad():
         for sign in (1, -1):

@@ -12,6 +12,8 @@ from .controller_springs import ControllerSprings
 from .creep import Creep
 from .dashpot import Dashpot
 from .directional_ground import DirectionalGround
+from .fibres import Fibres
+from .fung import Fung
 from .gravity import Gravity
 from .gravity_tilt import GravityTilt
 from .grip_compliance import GripCompliance
@@ -20,11 +22,14 @@ from .grip_slip import GripSlip
 from .ground import Ground
 from .ground_adhesion import GroundAdhesion
 from .ground_pose import GroundPose
+from .grown_shape import GrownShape
 from .hidden_obstacle import HiddenObstacle
 from .hidden_tether import HiddenTether
+from .inflation import Inflation
 from .internal_friction import InternalFriction
 from .kelvin_voigt import KelvinVoigt
 from .linear_drag import LinearDrag
+from .maxwell import Maxwell
 from .neo_hookean import NeoHookean
 from .observer import Observer
 from .plasticity import Plasticity
@@ -37,9 +42,11 @@ from .self_collision import SelfCollision
 from .soft_ground import SoftGround
 from .springs import Springs
 from .stiffness_field import StiffnessField
+from .stiffness_patch import StiffnessPatch
 from .strain_stiffening import StrainStiffening
 from .stribeck_ground import StribeckGround
 from .tearing import Tearing
+from .tension_compression import TensionCompression
 from .torsion import Torsion
 from .viscoelastic import Viscoelastic
 from .wind import Wind
@@ -57,6 +64,8 @@ __all__ = [
     "Dashpot",
     "DirectionalGround",
     "Effect",
+    "Fibres",
+    "Fung",
     "Gravity",
     "GravityTilt",
     "GripCompliance",
@@ -65,11 +74,14 @@ __all__ = [
     "Ground",
     "GroundAdhesion",
     "GroundPose",
+    "GrownShape",
     "HiddenObstacle",
     "HiddenTether",
+    "Inflation",
     "InternalFriction",
     "KelvinVoigt",
     "LinearDrag",
+    "Maxwell",
     "NeoHookean",
     "Observer",
     "Plasticity",
@@ -82,9 +94,11 @@ __all__ = [
     "SoftGround",
     "Springs",
     "StiffnessField",
+    "StiffnessPatch",
     "StrainStiffening",
     "StribeckGround",
     "Tearing",
+    "TensionCompression",
     "Term",
     "Torsion",
     "Viscoelastic",
