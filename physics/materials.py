@@ -5,9 +5,9 @@ With G the rest shape, 1 in frame 0, and F the deformation gradient, the laws of
     G = 1 + growth(at) + sum of what flowed,    G <- (1 + D(F G^-1)) G,    F_e = F G^-1,
     q <- evolve(F_e, q),    P = det(G) (solid(F_e) + material(F_e) + branch(F_e, q)) G^-T,
 
-P : dF being the work in a volume of frame 0. This is the multiplicative split of Rodriguez, Hoger and McCulloch (1994) for growth and of Lee
-(1969) for plastic flow. Each flow term remembers its own share of G - 1, each branch term its q: a matrix (3, 3) each, as nine numbers in a
-row, flows first. Stresses are those of the new memory, which cannot make a substep less stable than the instantaneous stiffness does.
+P : dF being the work in a volume of frame 0. This is the multiplicative split of Rodriguez, Hoger and McCulloch (1994) for growth and of
+Lee (1969) for plastic flow. Each flow term remembers its own share of G - 1, each branch term its q: a matrix (3, 3) each, as nine numbers
+in a row, flows first. Stresses are those of the new memory, which makes a substep no less stable than the instantaneous stiffness does.
 """
 
 from typing import Any

@@ -102,7 +102,9 @@ def _fastest(system, free, stage):
             force = internal_forces(system.grid, x, way, law, lateral=lateral)
         else:
             small = step / np.abs(way).max()
-            ahead, behind = (internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way))
+            ahead, behind = (
+                internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way)
+            )
             force = (ahead - behind) / (2 * small)
         motion = np.where(free[:, None], -force / root, 0.0)
         found = float(np.linalg.norm(motion))

@@ -1,13 +1,29 @@
 """Measures of strain and of isotropic elasticity that laws of solids share, each as a Warp function and in numpy (``..._twin``)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-__all__ = ["deviator", "deviator_twin", "green", "green_twin", "hooke", "hooke_twin", "young", "young_twin"]
+__all__ = [
+    "deviator",
+    "deviator_twin",
+    "green",
+    "green_twin",
+    "hooke",
+    "hooke_twin",
+    "poisson",
+    "poisson_twin",
+    "relaxing",
+    "relaxing_twin",
+    "size",
+    "size_twin",
+    "young",
+    "young_twin",
+]
+
+NONE = 1e-20  # of a squared strain
+CUBIC = -1 / 3  # an expression in a kernel would be one of float32
 
 
 @wp.func
@@ -43,6 +59,30 @@ def young(mu: Any, lame: Any):
     return mu * (type(mu)(3.0) * lame + mu + mu) / (lame + mu)
 
 
+@wp.func
+def poisson(mu: Any, lame: Any):
+    """Poisson's ratio lambda / 2 (lambda + mu)."""
+    return lame / (lame + lame + mu + mu)
+
+
+@wp.func
+def size(strain: Any):
+    """sqrt(E : E), and next to nothing where there is no strain, where the root has no derivative."""
+    return wp.sqrt(wp.ddot(strain, strain) + type(strain[0, 0])(NONE))
+
+
+@wp.func
+def relaxing(strain: Any, share: Any):
+    """The flow D, with det(1 + D) = 1, that takes ``share`` of a small Green strain's deviator away, and less of a large one's, as it must
+    not overshoot nor squeeze anything flat: (1 + D) changes E by up to 1 + 2 |E| times D.
+    """
+    one = unit(strain)
+    large = size(strain)
+    flow = deviator(strain) * (share / (type(share)(1.0) + large + large))
+    stretch = one + flow * (type(share)(1.0) / (type(share)(1.0) + size(flow)))
+    return stretch * wp.pow(wp.determinant(stretch), type(share)(CUBIC)) - one
+
+
 def green_twin(deformed):
     """Of (..., 3, 3)."""
     return (np.swapaxes(deformed, -1, -2) @ deformed - np.eye(3)) / 2
@@ -61,3 +101,20 @@ def deviator_twin(strain):
 def young_twin(mu, lame):
     """Of numbers."""
     return mu * (3 * lame + 2 * mu) / (lame + mu)
+
+
+def poisson_twin(mu, lame):
+    """Of numbers."""
+    return lame / (2 * (lame + mu))
+
+
+def size_twin(strain):
+    """(..., 1, 1) of (..., 3, 3)."""
+    return np.sqrt((strain * strain).sum((-2, -1), keepdims=True) + NONE)
+
+
+def relaxing_twin(strain, share):
+    """Of (..., 3, 3) and (..., 1, 1)."""
+    flow = deviator_twin(strain) * share / (1 + 2 * size_twin(strain))
+    stretch = np.eye(3) + flow / (1 + size_twin(flow))
+    return stretch * np.linalg.det(stretch)[..., None, None] ** (-1 / 3) - np.eye(3)

@@ -98,7 +98,7 @@ def thrown(term, share, table=True, *, roped=None):
 
 
 def foam(term, share, table=True):
-    """A bar of foam between two hands that pull, bend and twist it and press it together, with ``term`` as in ``thrown``; ``table``: far."""
+    """A bar of foam between two hands that pull, press, bend and twist it, with ``term`` as in ``thrown``; ``table``: far."""
     rng = np.random.default_rng(0)
     samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.005 for n in (16, 6, 6)], indexing="ij"), -1).reshape(-1, 3)
     grid = embed(samples, 0.08 * 0.03 * 0.03, 0.02, axes=np.eye(3))

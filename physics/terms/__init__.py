@@ -10,6 +10,8 @@ from .compression_softening import CompressionSoftening
 from .controller_delay import ControllerDelay
 from .controller_springs import ControllerSprings
 from .creep import Creep
+from .dahl_friction import DahlFriction
+from .damage import Damage
 from .dashpot import Dashpot
 from .directional_ground import DirectionalGround
 from .fibres import Fibres
@@ -31,6 +33,7 @@ from .kelvin_voigt import KelvinVoigt
 from .linear_drag import LinearDrag
 from .maxwell import Maxwell
 from .neo_hookean import NeoHookean
+from .norton_creep import NortonCreep
 from .observer import Observer
 from .plasticity import Plasticity
 from .plate_drag import PlateDrag
@@ -50,6 +53,7 @@ from .tension_compression import TensionCompression
 from .torsion import Torsion
 from .viscoelastic import Viscoelastic
 from .wind import Wind
+from .yielding import Yielding
 
 __all__ = [
     "AddedMass",
@@ -61,6 +65,8 @@ __all__ = [
     "ControllerDelay",
     "ControllerSprings",
     "Creep",
+    "DahlFriction",
+    "Damage",
     "Dashpot",
     "DirectionalGround",
     "Effect",
@@ -83,6 +89,7 @@ __all__ = [
     "LinearDrag",
     "Maxwell",
     "NeoHookean",
+    "NortonCreep",
     "Observer",
     "Plasticity",
     "PlateDrag",
@@ -103,4 +110,5 @@ __all__ = [
     "Torsion",
     "Viscoelastic",
     "Wind",
+    "Yielding",
 ]

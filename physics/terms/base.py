@@ -48,8 +48,8 @@ is that of the elasticity. See ``physics.materials``. Viscous stresses act on ve
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, facet, solid (with what alters it), body and observer terms, then v <- velocity(v + dt F / m), then damping in rounds
-or contacts, then move.
+Forces are summed over axial, strand, hinge, facet, solid (with what alters it), body and observer terms, then v <- velocity(v + dt F / m),
+then damping in rounds or contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace

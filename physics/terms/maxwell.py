@@ -26,8 +26,8 @@ def relax(stress: Any, deformed: Any, rate: Any, home: Any, mu: Any, lame: Any, 
 class Maxwell(Term):
     """P = a F (C : (E - q)), q' = (E - q) / tau, with the Green strain E and the elasticity's own moduli C: Zener's solid.
 
-    Finite linear viscoelasticity in the cheap form for moderate strains, in which the branch is linear in E (Simo and Hughes, "Computational
-    inelasticity", 1998, section 10.2). q, the strain of the branch's dashpot, is integrated exactly while E holds still.
+    Finite linear viscoelasticity in the cheap form for moderate strains, in which the branch is linear in E (Simo and Hughes,
+    "Computational inelasticity", 1998, section 10.2). q, the strain of the branch's dashpot, is integrated exactly while E holds still.
     """
 
     name = "maxwell"
