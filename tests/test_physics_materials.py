@@ -4,14 +4,15 @@ A point's stress is P(F); a bar under tension has the stretch l along its axis a
 """
 
 import itertools
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import torch
 from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
-from twinbench.physics.batch import Batch
+from twinbench.physics import batch as engine
+from twinbench.physics.batch import Batch, Inputs
 from twinbench.physics.catalogue import terms
 from twinbench.physics.cells import point_sites
 from twinbench.physics.grids import embed
@@ -404,6 +405,43 @@ def test_the_engine_computes_what_the_twin_says():
     np.testing.assert_allclose(carried.cell_memory.numpy().reshape(q.shape), after[0], rtol=0, atol=1e-12)
 
 
+def test_what_alters_elasticity_needs_one():
+    one = foam(kinds=())
+    with pytest.raises(ValueError, match="maxwell alters the elasticity of a solid and needs a term that has one, such as neo_hookean"):
+        replace(one, terms=[KelvinVoigt(), Maxwell()])
+
+
+def test_layers_that_grow_differently_bend_a_bar():
+    # G = 1 + g . X has no stress in the shape x = X (1 + g . X) - g |X|^2 / 2, a circle of curvature |g| = g_b / R: forces there are of
+    # second order in g_b, and those of a shape that is bent otherwise grow with the difference
+    axes = [(np.arange(n) + 0.5) * 0.0015 for n in (80, 20, 20)]
+    grid = embed(np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), 0.12 * 0.03**2, 0.015, axes=np.eye(3))
+    known = dict(springs=np.zeros((0, 2), int), stiffness=[], controllers=np.zeros((1, 0, 3)), grid=grid)
+    system = System(positions=grid.positions, terms=[NeoHookean(), GrownShape({"growth_b": 0.01})], **known)
+    home, at = point_sites(system)
+    middle = (home * grid.volume[:, None, None]).sum((0, 1)) / (8 * grid.volume.sum())
+    radius = np.sqrt((0.12**2 + 2 * 0.03**2) / 12)
+    away, g = grid.positions - middle, 0.01 / radius * np.array([0, 1.0, 0])
+
+    def forces(share):
+        bent = away * (1 + share * (away @ g)[:, None]) - share * g * (away**2).sum(1, keepdims=True) / 2
+        none = np.zeros((*home.shape[:2], 0, 3, 3))
+        return np.linalg.norm(
+            internal_forces(
+                grid,
+                bent,
+                0 * bent,
+                lambda f, r: point_twin(system.terms, f, r, home, at, none, 1e-3)[0],
+                lateral=POISSON / (1 - POISSON),
+            )
+        )
+
+    straight = forces(0.0)
+    assert forces(1.0) < 0.02 * straight
+    for share in (0.5, 0.9, 1.1, 2.0):
+        assert forces(share) == pytest.approx(abs(1 - share) * straight, rel=0.1)
+
+
 def test_gradients_against_differences():
     batch, random = Batch([foam(seed=s) for s in (2, 3)], fps=30, substeps=60, double=True), np.random.default_rng(6)
     weight = torch.from_numpy(random.normal(size=(2, batch.node_count, 3)))
@@ -423,6 +461,22 @@ def test_gradients_against_differences():
             way = torch.from_numpy(random.normal(size=tuple(own.shape))) * (own.abs() if name in ("table", "mass") else 1e-3)
             ahead, behind = (float(loss(replace(start, **{name: own + s * 1e-5 * way}))) for s in (1, -1))
             assert float((getattr(given, name).grad * way).sum()) == pytest.approx((ahead - behind) / 2e-5, rel=1e-4)
+
+
+@pytest.mark.parametrize("room", [1, 7])
+def test_checkpointed_gradients_equal_the_whole_history_bit_for_bit(room, monkeypatch):
+    # states are recomputed by the same arithmetic from the same start; 20 = 2 * 7 + 6. A path's gradient may be given in two parts
+    found = []
+    for bytes_ in (engine.HISTORY_BYTES, 0):
+        batch = Batch([foam(seed=2)], fps=180, substeps=10, rounds=2, double=True)
+        monkeypatch.setattr(engine, "HISTORY_BYTES", bytes_ or room * batch.substep_bytes)
+        assert bool(bytes_) == (len(batch.stretches(2, history=True)) == 1)
+        given = replace(batch.inputs, **{f.name: getattr(batch.inputs, f.name).clone().requires_grad_() for f in fields(Inputs)})
+        out, _, _, carried = batch.march(0, 2, given, whole=True)
+        ((out**2).sum() + (carried.cell_memory**2).sum()).backward()
+        found.append({n: getattr(given, n).grad for n in ("x", "v", "mass", "table", "cell_memory")})
+    for name, whole in found[0].items():
+        assert whole.abs().max() > 0 and torch.equal(whole, found[1][name]), name
 
 
 def test_a_batch_is_its_systems_to_the_last_bit():
