@@ -195,6 +195,7 @@ def make_cells(kit):
     viscous = kit.laws.viscous
     load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
     branching, remembering = kit.branching, kit.cells_remembering
+    altering = kit.growing or kit.adding or remembering
     pulled, bent, unbent, _moments, spread, places, speeds = cell_functions(kit)
     contraction, started = starts(kit)
     matter = make_point(kit)
@@ -248,7 +249,12 @@ def make_cells(kit):
             q = pt()
             if wp.static(remembering):
                 q = w.cell_memory[slot, c, k]
-            own, then = matter(first * whole, rate, w.cell_home[c, k], w.cell_at[c, k], q, dt, p, p_material, p_growth, p_flow, p_branch)
+            home = vec()
+            at = vec()
+            if wp.static(altering):
+                home = w.cell_home[c, k]
+                at = w.cell_at[c, k]
+            own, then = matter(first * whole, rate, home, at, q, dt, p, p_material, p_growth, p_flow, p_branch)
             if wp.static(remembering):
                 w.cell_memory[after, c, k] = then
             stress = own * weight

@@ -110,6 +110,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         easing=bool(laws.stage("viscous")),
         growing=bool(laws.stage("growth")),
         flowing=bool(laws.stage("flow")),
+        adding=bool(laws.stage("material")),
         branching=bool(laws.stage("branch")),
         cells_remembering=bool(laws.stage("flow") or laws.stage("branch")),
         watching=bool(laws.stage("observer")),

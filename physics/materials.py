@@ -196,7 +196,7 @@ def make_point(kit):
     pq = kit.vectors["cell_memory"]
     growth, flowed, flow, solid, material = laws.growth, laws.flowed, laws.flow, laws.solid, laws.material
     branch, recall, moduli = laws.branch, laws.recall, laws.moduli
-    growing, flowing, branching = kit.growing, kit.flowing, kit.branching
+    growing, flowing, branching, adding = kit.growing, kit.flowing, kit.branching, kit.adding
 
     @wp.func
     def point(
@@ -217,7 +217,9 @@ def make_point(kit):
             elastic = deformed * back
             moving = rate * back
         own = solid(elastic, p_solid)
-        stress = own + material(elastic, home, mu, lame, p_material)
+        stress = own
+        if wp.static(adding):
+            stress = own + material(elastic, home, mu, lame, p_material)
         if wp.static(branching):
             after = after + recall(own, elastic, moving, home, mu, lame, q, dt, p_branch)
             stress = stress + branch(own, elastic, moving, home, mu, lame, after, p_branch)

@@ -41,7 +41,8 @@ def stable_step(system: System) -> float:
     larger by 1 / cos^2(a / 2), and that of twist is |kb| / (2 l). What a bent hinge's moment adds by turning (M times the second
     derivative of kappa) is not in it: it is none in the natural shape.
 
-    A solid adds the largest eigenvalue of its cells' stiffness at rest, found by power iteration.
+    A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by power iteration, with all that
+    alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
     A pressure k (V0 / V - 1) adds k V0 / V^2 g_i g_j' with the volume's gradient g_i, a third of the area vectors around a node.
     """

@@ -514,3 +514,14 @@ def test_a_substep_is_as_long_as_stability_allows(values):
     )
     assert np.abs(good - one.positions).max() < 1e-3
     assert not np.abs(bad - one.positions).max() < 1e-3
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_gradients_are_finite_at_rest(double):
+    # where there is no strain and no motion, roots and directions have no derivative of their own
+    one = replace(foam(held=False), velocities=None, positions=foam().grid.positions, home=None)
+    batch = Batch([one.with_values(growth=0.0, growth_a=0.0, growth_b=0.0, growth_c=0.0)], fps=180, substeps=10, rounds=2, double=double)
+    given = replace(batch.inputs, **{n: getattr(batch.inputs, n).clone().requires_grad_() for n in ("x", "v", "table", "cell_memory")})
+    (batch.march(0, 1, given)[0] ** 2).sum().backward()
+    for name in ("x", "v", "table", "cell_memory"):
+        assert torch.isfinite(getattr(given, name).grad).all(), name
