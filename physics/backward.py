@@ -35,7 +35,7 @@ def make_backward(kit):
     load_axial, load_strand, load_hinge, load_facet, load_solid = (load[s] for s in ("axial", "strand", "hinge", "facet", "solid"))
     load_viscous, load_body, load_observer, load_velocity = (load[s] for s in ("viscous", "body", "observer", "velocity"))
     load_contact, load_move = load["contact"], load["move"]
-    skinned, filled, easing = kit.skinned, kit.filled, kit.easing
+    skinned, filled, easing, branching = kit.skinned, kit.filled, kit.easing, kit.branching
     pointed = kit.pointed
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     back_meet, remet = make_back_outside(kit) if pointed else (None, None)
@@ -120,7 +120,7 @@ def make_backward(kit):
             if wp.static(filled):
                 if k < count and w.cell_start[b + 1] > w.cell_start[b]:
                     for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
-                        back_strain(w, a, k, b, c, p_solid)
+                        back_strain(w, a, k, b, c, dt, p_solid)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
@@ -192,6 +192,8 @@ def make_backward(kit):
                 if wp.static(filled):
                     if k < count:
                         gx += resqueezed(w, a, i, 0)
+                        if wp.static(branching):  # whose rates are of the velocities at the substep's start
+                            gv += resqueezed(w, a, i, 8)
                 if wp.static(pointed):
                     if k < count:
                         mx, mv = remet(w, a, i)

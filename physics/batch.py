@@ -94,6 +94,7 @@ class Batch:
         self.remembering = bool(self.laws.stage("strand"))
         self.filled, self.easing = bool(self.laws.stage("solid")), bool(self.laws.stage("viscous"))
         self.touching, self.pointed = bool(self.laws.stage("touch")), _have_points(systems, self.laws)
+        self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
         if self.easing and self.colliding:
             raise ValueError("a system can have terms of the stage 'viscous' or of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
@@ -166,7 +167,7 @@ class Batch:
         self.facet_starts = facets["facet_start"]
         cells = assemble_cells(systems, start, count, self.rounds.astype(int))
         self.cell_starts = cells["cell_start"]
-        solid = {name: cells.pop(name) for name in ("points", "cell_volume", "half", "ease")}
+        solid = {name: cells.pop(name) for name in ("points", "cell_volume", "cell_home", "cell_at", "half", "ease")}
         points, outside = assemble_points(systems, start, [i[s.particle_count :] for i, s in zip(indices, systems, strict=True)], count)
         self.point_starts = points["point_start"]
         solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
@@ -180,6 +181,7 @@ class Batch:
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.point_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.point_starts))).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
+        self.cell_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.cell_starts))).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
         self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
         self.ends = self._ints(ends).long()
@@ -199,6 +201,7 @@ class Batch:
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
             memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
+            cell_memory=self._real(np.zeros((self.cell_starts[-1], 8, self.laws.cell_memories))),
             **{k: self._real(v) for k, v in {**hinged, **outside}.items()},
         )
 
@@ -282,7 +285,7 @@ class Batch:
         inputs = self.prepare(inputs)
         if self.resident and frames and (self.resident.fits_back or not self._asks_back(inputs)):
             out, x, v = self.resident.march(frame, frames, inputs)
-            return (out, x, v, Carried(inputs.memory, inputs.directors, inputs.anchor)) if whole else (out, x, v)
+            return (out, x, v, Carried(inputs.memory, inputs.directors, inputs.cell_memory, inputs.anchor)) if whole else (out, x, v)
         out, x, v, *carried = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
         return (out, x, v, Carried(*carried)) if whole else (out, x, v)
 
@@ -342,6 +345,8 @@ class Batch:
             kept += 3 * len(self.inputs.anchor)
         if self.remembering:
             kept += len(self.constants["spring"]) * self.laws.memories
+        if self.cells_remembering:
+            kept += self.inputs.cell_memory.numel()
         return kept * self.dtype.itemsize
 
     def forward(self, world: World, frame: int, stretch: Stretch) -> None:

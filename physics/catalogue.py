@@ -14,7 +14,7 @@ import warp as wp
 
 from ..datasets.plugins import Kind, Origin, discover
 from .parameters import Parameter
-from .terms.base import ARGUMENTS, REMEMBERING, STAGES, Effect, Term
+from .terms.base import ARGUMENTS, STAGES, Effect, Term
 
 __all__ = ["KIND", "terms"]
 
@@ -43,7 +43,7 @@ def _check_name(of: str, name) -> None:
 
 
 def _check_law(term: type[Term]) -> None:
-    for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": term.stage in REMEMBERING}.items():
+    for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": "q" in ARGUMENTS.get(term.stage, ())}.items():
         law = getattr(term, name)
         if not wanted and law is not None:
             raise ValueError(f"a term of stage {term.stage!r} has no {name}")

@@ -16,10 +16,13 @@ with its sign turned would make the elastic force push outwards.
 import numpy as np
 import warp as wp
 
+from .grids import shape
 from .hinges import incidence
+from .materials import make_point
 
-__all__ = ["EASE", "assemble_cells", "ease", "make_back_cells", "make_cells", "reach"]
+__all__ = ["EASE", "assemble_cells", "ease", "make_back_cells", "make_cells", "point_sites", "reach"]
 
+ALTERING = ("growth", "flow", "material", "branch")  # stages of what a solid does beside being elastic
 EASE = 0.01  # nu of Alexiades et al.: every mode shrinks by this in a round, so that errors in the largest eigenvalue are forgiven
 
 
@@ -153,15 +156,49 @@ def cell_functions(kit):
     return pulled, bent, unbent, moments, spread, places, speeds
 
 
+def starts(kit):
+    """(contraction, started): nu / (1 - nu) of the elasticity, and the moments of a cell's velocities at the substep's start."""
+    R, vec, World, get_v, moduli, ps = kit.R, kit.vec, kit.World, kit.get_v, kit.laws.moduli, kit.vectors["solid"]
+    moments = cell_functions(kit)[3]
+
+    @wp.func
+    def contraction(p: ps):
+        mu, lame = moduli(p)
+        return lame / wp.max(lame + mu + mu, R(1.0e-30))  # of no elasticity none
+
+    @wp.func
+    def started(w: World, slot: int, c: int, half: vec):
+        at = slot * w.nodes
+        m, m1, m2, m3, m4 = moments(
+            get_v(w.state, at + w.cell[c, 0]),
+            get_v(w.state, at + w.cell[c, 1]),
+            get_v(w.state, at + w.cell[c, 2]),
+            get_v(w.state, at + w.cell[c, 3]),
+            get_v(w.state, at + w.cell[c, 4]),
+            get_v(w.state, at + w.cell[c, 5]),
+            get_v(w.state, at + w.cell[c, 6]),
+            get_v(w.state, at + w.cell[c, 7]),
+            half,
+        )
+        return m, m1, m2, m3, m4
+
+    return contraction, started
+
+
 def make_cells(kit):
     """(strain, drag, squeezed): a cell's elastic and damping forces on its corners, and what a node gets of them.
 
     Loops over points and corners ask the arrays how many there are: Warp would write out one whose length it knows, eight times the code.
     """
     R, vec, mat, World = kit.R, kit.vec, kit.mat, kit.World
-    ps, pv = kit.vectors["solid"], kit.vectors["viscous"]
-    solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
+    ps, pv, pt = kit.vectors["solid"], kit.vectors["viscous"], kit.vectors["cell_memory"]
+    viscous = kit.laws.viscous
+    load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
+    branching, remembering = kit.branching, kit.cells_remembering
+    altering = kit.growing or kit.adding or remembering
     pulled, bent, unbent, _moments, spread, places, speeds = cell_functions(kit)
+    contraction, started = starts(kit)
+    matter = make_point(kit)
 
     @wp.func
     def leave(
@@ -178,9 +215,13 @@ def make_cells(kit):
             w.squeeze[c, a] = -spread(a, whole, g1, g2, g3, g4, half)
 
     @wp.func
-    def strain(w: World, slot: int, b: int, c: int, p: ps):
-        """Leave the elastic forces of cell ``c`` on its corners."""
+    def strain(w: World, slot: int, after: int, b: int, c: int, dt: R, p: ps):
+        """Leave the elastic forces of cell ``c`` on its corners, and what its material then remembers in slot ``after``."""
         half = w.half[b]
+        p_growth = load_growth(w.table, b)
+        p_flow = load_flow(w.table, b)
+        p_material = load_material(w.table, b)
+        p_branch = load_branch(w.table, b)
         first, g1, g2, g3, g4 = places(w, slot, c, half)
         inverse = wp.inverse(first)
         q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
@@ -191,10 +232,32 @@ def make_cells(kit):
         t2 = vec()
         t3 = vec()
         t4 = vec()
+        moved = mat()
+        n1 = vec()
+        n2 = vec()
+        n3 = vec()
+        n4 = vec()
+        if wp.static(branching):
+            moved, m1, m2, m3, m4 = started(w, slot, c, half)
+            n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
         for k in range(w.points.shape[1]):
             point = w.points[c, k]
             whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
-            stress = solid(first * whole, p) * weight
+            rate = mat()
+            if wp.static(branching):
+                rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
+            q = pt()
+            if wp.static(remembering):
+                q = w.cell_memory[slot, c, k]
+            home = vec()
+            at = vec()
+            if wp.static(altering):
+                home = w.cell_home[c, k]
+                at = w.cell_at[c, k]
+            own, then = matter(first * whole, rate, home, at, q, dt, p, p_material, p_growth, p_flow, p_branch)
+            if wp.static(remembering):
+                w.cell_memory[after, c, k] = then
+            stress = own * weight
             on_first += stress * wp.transpose(whole)
             u1, u2, u3, u4 = unbent(wp.transpose(first) * stress, point, half, lateral)
             t1 += u1
@@ -246,14 +309,23 @@ def make_cells(kit):
 def make_back_cells(kit):
     """(back_strain, back_drag, resqueezed): the adjoints of a cell's elastic and damping forces, and what a node gets of them."""
     R, vec, mat, World, Adjoint = kit.R, kit.vec, kit.mat, kit.World, kit.Adjoint
-    ps, pv = kit.vectors["solid"], kit.vectors["viscous"]
-    solid, viscous, contraction = kit.laws.solid, kit.laws.viscous, kit.laws.lateral
+    ps, pv, pt = kit.vectors["solid"], kit.vectors["viscous"], kit.vectors["cell_memory"]
+    pg, pf, pm, pb = (kit.vectors[s] for s in ALTERING)
+    viscous = kit.laws.viscous
     give_solid, give_viscous = kit.give_all["solid"], kit.give_all["viscous"]
+    give_growth, give_flow, give_material, give_branch = (kit.give_all[s] for s in ALTERING)
+    load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
+    growing, flowing, branching, remembering = kit.growing, kit.flowing, kit.branching, kit.cells_remembering
+    contraction, started = starts(kit)
+    matter = make_point(kit)
     pulled, bent, _unbent, moments, spread, places, speeds = cell_functions(kit)
 
     @wp.func
-    def solid_dot(f: mat, p: ps, d: mat):
-        return wp.ddot(solid(f, p), d)
+    def matter_dot(
+        f: mat, rate: mat, home: vec, at: vec, q: pt, dt: R, p: ps, p_material: pm, p_growth: pg, p_flow: pf, p_branch: pb, d: mat, on_q: pt
+    ):
+        stress, then = matter(f, rate, home, at, q, dt, p, p_material, p_growth, p_flow, p_branch)
+        return wp.ddot(stress, d) + wp.dot(then, on_q)
 
     @wp.func
     def viscous_dot(f: mat, rate: mat, p: pv, d: mat):
@@ -297,10 +369,14 @@ def make_back_cells(kit):
         return wp.ddot(first * whole, on_f) + wp.ddot(rate, on_rate) + wp.ddot(d, on_d)
 
     @wp.func
-    def back_strain(w: World, a: Adjoint, slot: int, b: int, c: int, p: ps):
-        """Leave the adjoint of the elastic forces of cell ``c`` at its corners."""
+    def back_strain(w: World, a: Adjoint, slot: int, b: int, c: int, dt: R, p: ps):
+        """Leave the adjoint of the elastic forces of cell ``c`` at its corners, and of what its material remembered before."""
         narrowing = wp.grad(lateral_of)(p)  # first: see ``backward`` on the order
         half = w.half[b]
+        p_growth = load_growth(w.table, b)
+        p_flow = load_flow(w.table, b)
+        p_material = load_material(w.table, b)
+        p_branch = load_branch(w.table, b)
         first, g1, g2, g3, g4 = places(w, slot, c, half)
         tried, d1, d2, d3, d4 = moments(
             a.force[slot % 2, w.cell[c, 0]],
@@ -325,17 +401,58 @@ def make_back_cells(kit):
         b4 = vec()
         on_lateral = R(0.0)
         gp = ps()
-        none = mat()
-        zero = vec()
+        gp_growth = pg()
+        gp_flow = pf()
+        gp_material = pm()
+        gp_branch = pb()
+        moved = mat()
+        m1 = vec()
+        m2 = vec()
+        m3 = vec()
+        m4 = vec()
+        n1 = vec()
+        n2 = vec()
+        n3 = vec()
+        n4 = vec()
+        on_moved = mat()
+        v1 = vec()
+        v2 = vec()
+        v3 = vec()
+        v4 = vec()
+        if wp.static(branching):
+            moved, m1, m2, m3, m4 = started(w, slot, c, half)
+            n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
         for k in range(w.points.shape[1]):
             point = w.points[c, k]
             whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
             f = first * whole
             d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
-            hf, hp, stress = wp.grad(solid_dot)(f, p, d)
-            of, h1, h2, h3, h4, _m, _m1, _m2, _m3, _m4, _t, _d1, _d2, _d3, _d4, _pt, _h, hl, _f, _r, _d = wp.grad(kinematics_dot)(
-                first, g1, g2, g3, g4, none, zero, zero, zero, zero, tried, d1, d2, d3, d4, point, half, lateral, hf, none, stress
+            rate = mat()
+            if wp.static(branching):
+                rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
+            q = pt()
+            on_q = pt()
+            if wp.static(remembering):
+                q = w.cell_memory[slot, c, k]
+                on_q = a.cell_memory[c, k] / weight  # the memory is that of a point, the stress counts by its volume
+            hf, hr, _home, _at, hq, _dt, hp, hm, hg, hw, hb, stress, _q = wp.grad(matter_dot)(
+                f, rate, w.cell_home[c, k], w.cell_at[c, k], q, dt, p, p_material, p_growth, p_flow, p_branch, d, on_q
             )
+            of, h1, h2, h3, h4, om, u1, u2, u3, u4, _t, _d1, _d2, _d3, _d4, _pt, _h, hl, _f, _r, _d = wp.grad(kinematics_dot)(
+                first, g1, g2, g3, g4, moved, m1, m2, m3, m4, tried, d1, d2, d3, d4, point, half, lateral, hf, hr, stress
+            )
+            if wp.static(remembering):
+                a.cell_memory[c, k] = hq * weight
+            if wp.static(branching):
+                on_moved += om
+                v1 += u1
+                v2 += u2
+                v3 += u3
+                v4 += u4
+            gp_growth += hg
+            gp_flow += hw
+            gp_material += hm
+            gp_branch += hb
             on_first += of
             b1 += h1
             b2 += h2
@@ -345,8 +462,17 @@ def make_back_cells(kit):
             gp += hp
         for j in range(w.cell.shape[1]):
             a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, half) * weight
+            if wp.static(branching):
+                a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, half) * weight
         if a.wants_table > 0:
             give_solid(a.solid, c, (gp + narrowing * on_lateral) * weight)
+            give_material(a.material, c, gp_material * weight)
+            if wp.static(growing):
+                give_growth(a.growth, c, gp_growth * weight)
+            if wp.static(flowing):
+                give_flow(a.flow, c, gp_flow * weight)
+            if wp.static(branching):
+                give_branch(a.branch, c, gp_branch * weight)
 
     @wp.func
     def back_drag(w: World, a: Adjoint, slot: int, r: int, b: int, c: int, share: R, p: ps, p_viscous: pv):
@@ -424,6 +550,18 @@ def make_back_cells(kit):
     return back_strain, back_drag, resqueezed
 
 
+def point_sites(system) -> tuple[np.ndarray, np.ndarray]:
+    """Of a solid's material points (K, 8, 3): where they were in frame 0 [m], and the same from the body's middle, in the grid's axes and
+    rms radii of the body.
+    """
+    grid = system.grid
+    home = np.einsum("kpa,kai->kpi", shape(grid.points), system.material[grid.nodes])
+    rest = np.einsum("kpa,kai->kpi", shape(grid.points), grid.positions[grid.nodes])
+    share = (grid.volume / grid.volume.sum() / grid.points.shape[1])[:, None, None]
+    away = (rest - (share * rest).sum((0, 1))) @ grid.axes.T
+    return home, away / np.sqrt((share * away**2).sum())
+
+
 def assemble_cells(systems, starts, count: int, rounds) -> dict[str, np.ndarray]:
     """All systems' cells side by side, as the kernels read them (``kernels.World``).
 
@@ -438,13 +576,17 @@ def assemble_cells(systems, starts, count: int, rounds) -> dict[str, np.ndarray]
     for own, number in zip(shares, rounds, strict=True):
         own[:number] = ease(int(number))
     here = [g for g in grids if g is not None]
+    sites = [point_sites(s) for s in systems if s.grid is not None]
+    none = np.zeros((0, 8, 3))
     return dict(
         cell_start=start,
         cell=cell,
         cell_row=row,
         cell_of=of,
         rounds=np.asarray(rounds),
-        points=np.concatenate([g.points for g in here]) if here else np.zeros((0, 8, 3)),
+        points=np.concatenate([none, *(g.points for g in here)]),
+        cell_home=np.concatenate([none, *(home for home, _at in sites)]),
+        cell_at=np.concatenate([none, *(at for _home, at in sites)]),
         cell_volume=np.concatenate([g.volume for g in here]) if here else np.zeros(0),
         half=np.stack([np.ones(3) if g is None else g.size / 2 for g in grids]),
         ease=shares,

@@ -206,7 +206,7 @@ def make_forward(kit):
             if wp.static(filled):
                 if w.cell_start[b + 1] > w.cell_start[b]:
                     for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
-                        strain(w, here, b, c, p_solid)
+                        strain(w, here, there, b, c, dt, p_solid)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(pointed):

@@ -87,6 +87,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
     vec, four = wp.types.vector(3, R), wp.types.vector(4, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
+    vectors["cell_memory"] = wp.types.vector(laws.cell_memories, R)
     mat = wp.types.matrix((3, 3), R)
     pair = wp.types.vector(2, R)
     vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
@@ -110,6 +111,11 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         filled=bool(laws.stage("solid")),
         easing=bool(laws.stage("viscous")),
         touching=bool(laws.stage("touch")),
+        growing=bool(laws.stage("growth")),
+        flowing=bool(laws.stage("flow")),
+        adding=bool(laws.stage("material")),
+        branching=bool(laws.stage("branch")),
+        cells_remembering=bool(laws.stage("flow") or laws.stage("branch")),
         watching=bool(laws.stage("observer")),
         remembering=bool(laws.stage("strand")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},
@@ -146,8 +152,8 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pe, pd, pb, pu, pt, pg, po, pv, pc, pm = (vectors[s] for s in STAGED)
-    pq, pair = vectors["memory"], vectors["natural"]
+    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pq, pk, pair = vectors["memory"], vectors["cell_memory"], vectors["natural"]
 
     @wp.struct
     class World:
@@ -209,6 +215,9 @@ def _structs(R, vec, vectors):
         cell_of: wp.array(dtype=wp.int32)  # 8 cell + corner
         points: wp.array2d(dtype=vec)  # (K, 8) where cells are integrated, in halves of their size
         cell_volume: wp.array(dtype=R)  # (K,) m^3
+        cell_home: wp.array2d(dtype=vec)  # (K, 8) m, where these points were in frame 0
+        cell_at: wp.array2d(dtype=vec)  # (K, 8) the same from the body's middle, in the grid's axes and rms radii
+        cell_memory: wp.array3d(dtype=pk)  # (slots, K, 8) what they remember at the start of the substep (only with flow or branch terms)
         half: wp.array(dtype=vec)  # (B,) m, of a cell's size
         rounds: wp.array(dtype=wp.int32)  # (B,) of damping in a substep
         ease: wp.array2d(dtype=R)  # (B, rounds) share of the substep that each takes
@@ -260,18 +269,23 @@ def _structs(R, vec, vectors):
         cells: wp.array2d(dtype=vec)  # (K, 16) of a cell's forces: its corners' x, their v
         eased: wp.array(dtype=vec)  # (nodes,) of the velocity after a round, over mass; 0 at driven nodes
         solid: wp.array(dtype=pe)  # (K,) shares of the parameters' gradient
+        growth: wp.array(dtype=pg)
+        flow: wp.array(dtype=pw)
+        material: wp.array(dtype=pl)
+        branch: wp.array(dtype=pr)
         viscous: wp.array(dtype=pd)
         load: wp.array(dtype=R)  # (P,)
         held: wp.array(dtype=R)
         anchor: wp.array(dtype=vec)  # (P,) in: at the stretch's end, out: at its start
         met_points: wp.array2d(dtype=vec)  # (P, 4) of a substep's forces from outside: a point's x, v, its controller's x, v
+        cell_memory: wp.array2d(dtype=pk)  # (K, 8) of the memory; in: at the stretch's end, out: at its start
         memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start
         axial: wp.array(dtype=pa)  # (nodes,) shares of the parameters' gradient, summed over a system by the caller
         strand: wp.array(dtype=ps)
         body: wp.array(dtype=pb)  # (nodes,), or (P,) where there are points
         surface: wp.array(dtype=pu)  # (P,)
         touch: wp.array(dtype=pt)
-        grip: wp.array(dtype=pg)
+        grip: wp.array(dtype=pi)
         observer: wp.array(dtype=po)
         velocity: wp.array(dtype=pv)
         contact: wp.array(dtype=pc)

@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from .materials import fuse_material
 from .terms.base import STAGES, Term
 
 __all__ = ["Laws"]
@@ -48,6 +49,11 @@ class Laws:
         """Length of a spring's memory vector, at least 1 because a Warp vector cannot be empty."""
         return max(1, len(self.stage("strand")))
 
+    @property
+    def cell_memories(self) -> int:
+        """Length of a material point's memory vector: nine numbers for each flow and branch term, at least 1."""
+        return max(1, 9 * (len(self.stage("flow")) + len(self.stage("branch"))))
+
     def fuse(self) -> SimpleNamespace:
         """One Warp function, generic in its precision, for each stage in the kernels and for "evolve"; contact is None without its term."""
         return SimpleNamespace(
@@ -58,7 +64,7 @@ class Laws:
             facet=_facet(self),
             solid=_solid(self),
             viscous=_viscous(self),
-            lateral=_lateral(self),
+            **fuse_material(self),
             body=_body(self),
             surface=_surface(self),
             touch=_touch(self)[0],
@@ -157,25 +163,6 @@ def _plus_viscous(before, law, offset):
     @wp.func
     def total(deformed: Any, rate: Any, p: Any):
         return before(deformed, rate, p) + law(deformed, rate, p, offset)
-
-    return total
-
-
-def _lateral(laws):
-    @wp.func
-    def total(p: Any):
-        return p[0] - p[0]
-
-    for term, offset in laws.stage("solid"):
-        if term.lateral is not None:
-            total = _plus_lateral(total, term.lateral, offset)
-    return total
-
-
-def _plus_lateral(before, law, offset):
-    @wp.func
-    def total(p: Any):
-        return before(p) + law(p, offset)
 
     return total
 

@@ -12,7 +12,7 @@ import warp as wp
 from torch.autograd.function import once_differentiable
 
 from .contacts import seek
-from .terms.base import STAGED
+from .terms.base import CELLS, STAGED
 
 __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
 
@@ -23,6 +23,7 @@ class Inputs:
 
     x, v (nodes, 3), mass (nodes,), rest and stiffness (springs,), path (T, controllers, 3), table (B, columns),
     memory (springs, strand terms, at least 1): what springs remember at the start, in the order of their terms,
+    cell_memory (cells, 8, numbers): what material points remember, nine numbers for each flow and branch term (``physics.materials``),
     natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains,
     load (points,) kg, held (points,): how firmly hands hold them, anchor (points, 3) m: what they remember of the ground at the start
     """
@@ -38,6 +39,7 @@ class Inputs:
     natural: torch.Tensor
     flexure: torch.Tensor
     directors: torch.Tensor
+    cell_memory: torch.Tensor
     load: torch.Tensor
     held: torch.Tensor
     anchor: torch.Tensor
@@ -49,11 +51,13 @@ class Carried:
 
     memory     (springs, strand terms, at least 1) of the springs
     directors  (segments, 3) of the ropes
+    cell_memory  (cells, 8, numbers) of the material points of solids
     anchor     (points, 3) of the ground
     """
 
     memory: torch.Tensor
     directors: torch.Tensor
+    cell_memory: torch.Tensor
     anchor: torch.Tensor
 
 
@@ -90,7 +94,7 @@ class Carrier:
     def array(kernels, name, tensor):
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {"directors", "bent", "turned", "face", "faced", "points", "half", "squeeze", "eased", "cells"}
+        vectors |= {"directors", "bent", "turned", "face", "faced", "points", "half", "squeeze", "eased", "cells", "cell_home", "cell_at"}
         vectors |= {"point_home", "anchor", "push", "met_points"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
         dtype = wp.int32 if tensor.dtype == torch.int32 else kind
@@ -107,7 +111,7 @@ def _nothing(dimensions, dtype, device):
 class World(Carrier):
     """The state of a batch in ``slots`` slots, starting at the tensors of ``STATE``, with ``near`` the contact candidates."""
 
-    def __init__(self, batch, values, x, v, memory, directors, anchor, near, slots, out):
+    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, near, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -125,6 +129,8 @@ class World(Carrier):
         if batch.remembering:
             memories[0] = memory[ends]
         self.memories = memories
+        self.cell_memories = empty(slots if batch.cells_remembering else 0, *cell_memory.shape)
+        self.cell_memories[:1] = cell_memory
         kept = slots if slots > 2 else 1
         met = slots if batch.colliding else 1
         rounds = batch.constants["ease"].shape[1]
@@ -142,7 +148,14 @@ class World(Carrier):
                 **dict(anchor=anchors, push=torch.empty_like(anchor)),
                 **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
                 **dict(face=empty(batch.facet_starts[-1], 3), swelling=empty(slots, len(batch.systems)), parts=batch.parts()),
-                **dict(state=state.view(-1), memory=memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
+                **dict(
+                    state=state.view(-1),
+                    memory=memories,
+                    cell_memory=self.cell_memories,
+                    pushed=empty(kept, n, 3),
+                    out=out,
+                    force=torch.zeros_like(x),
+                ),
                 **dict(free=empty(1 if batch.colliding else kept, n, 3), flight=empty((slots if batch.colliding else 0) * n * 8)),
                 **dict(met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(squeeze=empty(batch.cell_starts[-1], 8, 3), eased=empty(kept, rounds + 1, n if batch.easing else 0, 3)),
@@ -162,9 +175,13 @@ class World(Carrier):
             memory[batch.lower_spring] = self.memories[slot[batch.spring_system[batch.lower_spring]], batch.lower_end]
         segment = torch.arange(self.ways.shape[1], device=batch.device)
         ways = self.ways[slot[batch.rope_system] % len(self.ways), segment]
+        cell_memory = torch.zeros_like(batch.inputs.cell_memory)
+        if batch.cells_remembering:
+            cell = torch.arange(len(cell_memory), device=batch.device)
+            cell_memory = self.cell_memories[slot[batch.cell_system], cell]
         point = torch.arange(self.anchors.shape[1], device=batch.device)
         anchors = self.anchors[slot[batch.point_system] % len(self.anchors), point]
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, anchors
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors
 
 
 class Adjoint(Carrier):
@@ -173,7 +190,7 @@ class Adjoint(Carrier):
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, anchor, out, wanted):
+    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, out, wanted):
         self.batch, self.memory = batch, memory
         hinges, segments = len(values["flexure"]), len(directors)
 
@@ -182,7 +199,7 @@ class Adjoint(Carrier):
 
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         cells = batch.cell_starts[-1]
-        self.counts = {"hinge": hinges, "facet": batch.facet_starts[-1], "solid": cells, "viscous": cells}
+        self.counts = {"hinge": hinges, "facet": batch.facet_starts[-1], **dict.fromkeys(CELLS, cells)}
         self.counts |= dict.fromkeys(("surface", "touch", "grip", *(["body"] if batch.pointed else [])), len(anchor))
         stages = {s: zeros(batch.laws.width(s), count=self.counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure", "load", "held")}
@@ -200,7 +217,7 @@ class Adjoint(Carrier):
                 **inputs,
                 **rods,
                 **faced,
-                **dict(cells=zeros(16, 3, count=cells), eased=zeros(3)),
+                **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), cell_memory=cell_memory.contiguous().clone()),
                 **dict(anchor=anchor.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
             ),
         )
@@ -219,7 +236,7 @@ class Adjoint(Carrier):
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
         parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
-        parts |= {s: by_system(t[s], batch.cell_starts) for s in ("solid", "viscous")}
+        parts |= {s: by_system(t[s], batch.cell_starts) for s in CELLS}
         parts |= {s: by_system(t[s], batch.point_starts) for s in self.counts if s not in parts}
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
         for stage, part in parts.items():
@@ -231,7 +248,13 @@ class Adjoint(Carrier):
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = t["memory"][batch.lower_end]
-        plain = ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors", "load", "held", "anchor")
+        plain = (
+            *("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors"),
+            "cell_memory",
+            "load",
+            "held",
+            "anchor",
+        )
         return {"memory": memory, "table": table, **{k: t[k] for k in plain}}
 
 
@@ -294,13 +317,15 @@ def settled(batch, inputs: Inputs) -> torch.Tensor:
     They are what the engine's own substeps make of them while the clock all but stands.
     """
     values = {k: t.detach().contiguous() for k, t in vars(batch.prepare(inputs)).items()}
-    x, v, memory, directors, anchor = (values[k] for k in STATE)
+    state = {k: values[k] for k in STATE} | dict(v=torch.zeros_like(values["v"]))
+    x, directors = values["x"], values["directors"]
     values["path"] = values["path"][:1].contiguous()
     nobody = torch.zeros(batch.node_count + 1, dtype=torch.int32, device=batch.device)
     stretch, one = Stretch(0, 0, np.full(len(batch.systems), ROUND)), torch.ones(len(batch.systems), dtype=x.dtype, device=x.device)
     moving = one > 0
     for _ in range(ROUNDS):
-        world = World(batch, values, x, torch.zeros_like(v), memory, directors, anchor, (nobody, nobody), 2, torch.empty_like(x[None]))
+        now = {**state, "directors": directors}
+        world = World(batch, values, **now, near=(nobody, nobody), slots=2, out=torch.empty_like(x[None]))
         world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
         batch.forward(world, 0, stretch)
         relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[3], directors)

@@ -6,16 +6,20 @@ import math
 
 import numpy as np
 
+from .cells import point_sites, reach
 from .facets import enclosed
 from .hinges import FOLD
+from .materials import point_twin
 from .solids import internal_forces
 from .system import System
+from .terms.base import CELLS
 
 __all__ = ["stable_rounds", "stable_step", "stable_substeps"]
 
 
 POWERS = 60  # iterations for a largest eigenvalue; what is still missing then is in the margin
 POWER_MARGIN = 1.1
+INSTANT = 1e-9  # s, in which nothing relaxes
 MOST_ROUNDS = 20  # of damping: more would let rounding errors of float32 grow
 
 
@@ -37,7 +41,8 @@ def stable_step(system: System) -> float:
     larger by 1 / cos^2(a / 2), and that of twist is |kb| / (2 l). What a bent hinge's moment adds by turning (M times the second
     derivative of kappa) is not in it: it is none in the natural shape.
 
-    A solid adds the largest eigenvalue of its cells' stiffness at rest, found by power iteration.
+    A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by power iteration, with all that
+    alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.
@@ -78,20 +83,24 @@ def stable_step(system: System) -> float:
 
 
 def _fastest(system, free, stage):
-    """Largest eigenvalue [1/s^2 or 1/s] of the free nodes' stiffness or damping over mass, by the cells' terms of a stage ("solid" or
-    "viscous"), in the shape in which the system starts.
+    """Largest eigenvalue [1/s^2 or 1/s] of the free nodes' stiffness or damping over mass, by the cells' terms of a stage ("solid" with all
+    that alters it, or "viscous"), in the shape in which the system starts. What remembers is as stiff as it is at once.
     """
-    terms = [t for t in system.terms if t.stage == stage]
+    terms = [t for t in system.terms if (t.stage in CELLS) and (t.stage == "viscous") == (stage == "viscous")]
     if not terms or system.grid is None:
         return 0.0
     x, free = system.positions, free[: system.particle_count]
-    lateral = sum(t.values["poisson"] / (1 - t.values["poisson"]) for t in system.terms if t.lateral is not None)
-    nowhere = np.zeros_like(x)
+    mu, lame = (sum(m) for m in zip((0.0, 0.0), *(t.twin_moduli(**t.values) for t in system.terms if t.moduli is not None), strict=True))
+    lateral = lame / max(lame + 2 * mu, 1e-30)
+    home, at = point_sites(system)
+    fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in terms), 3, 3))
     motion = np.where(free[:, None], np.random.default_rng(0).normal(size=x.shape), 0.0)
     root = np.sqrt(system.masses)[:, None]
 
     def law(deformed, rate):
-        return sum(t.twin(*((deformed, rate) if stage == "viscous" else (deformed,)), **t.values) for t in terms)
+        if stage == "viscous":
+            return sum(t.twin(deformed, rate, **t.values) for t in terms)
+        return point_twin(terms, deformed, rate, home, at, fresh, INSTANT)[0]
 
     step, found = 1e-6 * system.grid.size.min(), 0.0
     for _ in range(POWERS):
@@ -101,7 +110,9 @@ def _fastest(system, free, stage):
             force = internal_forces(system.grid, x, way, law, lateral=lateral)
         else:
             small = step / np.abs(way).max()
-            ahead, behind = (internal_forces(system.grid, x + s * small * way, nowhere, law, lateral=lateral) for s in (1, -1))
+            ahead, behind = (
+                internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way)
+            )
             force = (ahead - behind) / (2 * small)
         motion = np.where(free[:, None], -force / root, 0.0)
         found = float(np.linalg.norm(motion))
@@ -115,8 +126,6 @@ def stable_rounds(system: System, dt: float) -> int:
 
     Raises ValueError where that is more than ``MOST_ROUNDS``.
     """
-    from .cells import reach
-
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
     free[system.grips[system.grips >= 0]] = False
     single = dt * _fastest(system, free, "viscous") / 2  # how many of the longest single steps

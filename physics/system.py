@@ -266,4 +266,7 @@ def _checked_terms(terms):
         for name in term.values:
             if owner.setdefault(name, term.name) != term.name:
                 raise ValueError(f"parameter names must be unique in a system, got {name} in both {owner[name]} and {term.name}")
+    altering = [t.name for t in terms if t.stage in ("flow", "material", "branch")]
+    if altering and not any(t.moduli for t in terms):
+        raise ValueError(f"{altering[0]} alters the elasticity of a solid and needs a term that has one, such as neo_hookean; got none")
     return terms

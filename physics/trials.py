@@ -7,8 +7,10 @@ import numpy as np
 from ..datasets.plugins import said
 from .batch import Batch
 from .facets import solid_facets
+from .grids import embed
 from .system import System
-from .terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, LinearDrag, Springs, Term
+from .terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, KelvinVoigt, LinearDrag, NeoHookean, Springs, Term
+from .terms.base import CELLS
 from .topology import rope_hinges
 
 __all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "fault", "run", "thrown"]
@@ -71,6 +73,8 @@ def thrown(term, share, table=True, *, roped=None):
         grips, hinged = [-1, *chain[[0, 1, -2, -1]]], dict(hinges=rope_hinges(chain), chains=[chain])
     ties = [[len(x), k] for k in near]
     seen = x + path[:, None, None] * [0.0, 0.03, 0.02]
+    if term.stage in CELLS:
+        return foam(term, share, table)
     extra = () if share is None else (term,)
     stiff = np.full(len(springs) + len(ties), 40.0)
     plane = {"adhesion_normal_z": 1.0} if extra == (GroundAdhesion,) else {}
@@ -91,6 +95,32 @@ def thrown(term, share, table=True, *, roped=None):
         **hinged,
     )
     return body(x, *extra, **given, **values)
+
+
+def foam(term, share, table=True):
+    """A bar of foam between two hands that pull, press, bend and twist it, with ``term`` as in ``thrown``; ``table``: far."""
+    rng = np.random.default_rng(0)
+    samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.005 for n in (16, 6, 6)], indexing="ij"), -1).reshape(-1, 3)
+    grid = embed(samples, 0.08 * 0.03 * 0.03, 0.02, axes=np.eye(3))
+    rest, path = grid.positions, np.linspace(0, 1, 11)[:, None, None]
+    left = np.flatnonzero(rest[:, 0] < rest[:, 0].min() + 1e-6)
+    right = np.flatnonzero(rest[:, 0] > rest[:, 0].max() - 1e-6)
+    far = np.sin(2 * np.pi * path) * (0.03 if table else 0.01)
+    lead = far * [0.5, 0.5, 0.0] + far * np.cross([1.0, 0.0, 0.0], (rest[right] - rest[right].mean(0)) / 0.03)
+    kinds = [NeoHookean({"youngs_modulus": 5e3}), Gravity({"gravity_z": -G}), KelvinVoigt({"viscosity": 20.0})]
+    extra = [] if share is None or term in (NeoHookean, KelvinVoigt) else [term()]
+    system = System(
+        positions=rest,
+        velocities=rng.normal(size=rest.shape) * 0.01,
+        masses=grid.masses(100.0),
+        springs=np.zeros((0, 2), int),
+        stiffness=[],
+        controllers=np.concatenate([np.repeat(rest[None, left], 11, 0), rest[right] + lead], 1),
+        grips=np.concatenate([left, right]),
+        terms=[*kinds, *extra],
+        grid=grid,
+    )
+    return system.with_values(**{name: share * value for name, value in term.effect.typical.items()}) if extra else system
 
 
 def run(*args, **options):

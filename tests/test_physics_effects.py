@@ -33,6 +33,7 @@ from twinbench.physics.terms import (
     StribeckGround,
     Wind,
 )
+from twinbench.physics.terms.base import CELLS
 from twinbench.physics.terms.directional_ground import DirectionalGround
 from twinbench.physics.terms.mass_field import MassField
 from twinbench.physics.terms.soft_ground import SoftGround
@@ -529,7 +530,7 @@ KNOWN = {
     "quadratic_drag", "plate_drag", "wind", "gravity_tilt", "strain_stiffening", "compression_softening", "anisotropy", "bending",
     "bending_damping", "torsion", "plasticity", "creep", "viscoelastic", "internal_friction", "added_mass", "pressure",
     "friction_law", "ground_adhesion", "hidden_obstacle", "ground_pose", "self_contact", "hidden_tether", "grip_slip",
-    "grip_compliance", "tearing", "rest_shape", "controller_delay", "camera_pose", "track_drift", "grip_points",
+    "grip_compliance", "tearing", "stiffness_patch", "rest_shape", "controller_delay", "camera_pose", "track_drift", "grip_points",
 }
 # fmt: on
 
@@ -541,7 +542,7 @@ def test_effects_have_names_that_are_known():
 
 def test_all_effects_at_once():
     # any two may be combined, in one list and with uneven stiffness: of no size they change nothing, at a tenth of the typical one all act
-    kinds = [t for t in EFFECTS if t is not SelfCollision and t.stage != "move"] + [StiffnessField]
+    kinds = [t for t in EFFECTS if t is not SelfCollision and t.stage != "move" and t.stage not in CELLS] + [StiffnessField]
     plain = thrown(GravityTilt, None, roped=True)
     together = replace(plain, terms=[*plain.terms, *(k() for k in kinds)]).with_values(adhesion_normal_z=1.0)
     typical = {name: 0.1 * value for k in kinds if k.effect for name, value in k.effect.typical.items()}

@@ -50,7 +50,7 @@ HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms rea
 @pytest.mark.parametrize("grip", [True, False], ids=["grip", "no grip"])
 @every_kind
 def test_gradient_of_every_input(kinds, grip, name):
-    if name in HINGED and Bending not in kinds:
+    if (name in HINGED and Bending not in kinds) or name == "cell_memory":  # of solids: see test_physics_materials.py
         pytest.skip("nothing reads it")
     batch = batch_of(kinds, grip=grip)
     inputs = leaves(batch)
@@ -112,7 +112,8 @@ def test_frame_by_frame_equals_one_march(kinds):
     (found * weight).sum().backward()
     for n in NAMES:
         a, b = getattr(once, n).grad, getattr(frames, n).grad
-        assert torch.allclose(a, b, rtol=1e-10, atol=1e-12 * a.abs().max().item()), n
+        largest = a.abs().max().item() if a.numel() else 0.0
+        assert torch.allclose(a, b, rtol=1e-10, atol=1e-12 * largest), n
 
 
 def test_truncated_at_frames_as_published():

@@ -242,7 +242,7 @@ class Touch(Term):
         ("terms must be a list of terms, got None", None),
         ("terms must each be listed once, got springs 2 times", [Springs(), Gravity(), Springs()]),
         ("parameter names must be unique in a system, got gravity_x in both gravity and wind", [Gravity(), Wind()]),
-        ("term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, hinge, facet, solid", [Misplaced()]),
+        ("term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, hinge, facet, growth", [Misplaced()]),
     ],
 )
 def test_terms(text, terms):
@@ -333,8 +333,8 @@ def test_inputs_that_the_kernels_would_read_past_are_refused(name):
     points = Points(nodes, one, good()["positions"], *np.ones((2, 4)), holds=np.full(4, -1), held=np.zeros(4))
     batch = Batch([System(**good(**ROPE, points=points))], fps=30, substeps=10)
     own = getattr(batch.inputs, name)
-    short = own[:, :-1] if name == "path" else own[:-1]
-    for wrong in (short, own.double()):
+    other = own[:, :-1] if name == "path" else own[:-1] if len(own) else own.new_zeros((1, *own.shape[1:]))
+    for wrong in (other, own.double()):
         with pytest.raises(ValueError, match=f"inputs.{name} must be"):
             batch.march(0, 1, replace(batch.inputs, **{name: wrong}))
 

@@ -174,28 +174,15 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    first = [
-        "_axial",
-        "_strand",
-        "_hinge",
-        "_facet",
-        "_solid",
-        "_viscous",
-        "_body",
-        "_surface",
-        "_touch",
-        "_grip",
-        "_observer",
-        "_velocity",
-    ]
+    cells = ["_growth", "_flow", "_solid", "_material", "_branch", "_viscous"]
+    first = ["_axial", "_strand", "_hinge", "_facet", *cells, "_body", "_surface", "_touch", "_grip", "_observer", "_velocity"]
     assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
     air = [
         "dashpot_damping",
         "_strand",
         "_hinge",
         "_facet",
-        "_solid",
-        "_viscous",
+        *cells,
         *gravity,
         "_surface",
         "_touch",
@@ -210,8 +197,8 @@ def test_columns_are_ordered_by_stage_and_padded():
     assert Laws(AIR).columns == air
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
     assert Laws((SelfCollision, Springs)).columns == [*first, *contact, "_move", "_links", "_setup"]
-    assert Laws((Wind, Hardening, Gravity)).columns[:12] == ["cubic", "square", *first[1:6], "wind_x", "wind_y", *gravity]
-    assert Laws((Count, Wind, Stir)).columns[:10] == ["_axial", "count", "stir", "stir_link", *first[2:6], "wind_x", "wind_y"]
+    assert Laws((Wind, Hardening, Gravity)).columns[:16] == ["cubic", "square", *first[1:10], "wind_x", "wind_y", *gravity]
+    assert Laws((Count, Wind, Stir)).columns[:14] == ["_axial", "count", "stir", "stir_link", *first[2:10], "wind_x", "wind_y"]
 
 
 NEW = [(Wind, Hardening, Gravity, Brake), (Count, Springs, Stir), (Dashpot, Springs, Hardening)]

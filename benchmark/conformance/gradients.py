@@ -14,6 +14,7 @@ from ...physics.hinges import natural_curvature
 from ...physics.points import material_points
 from ...physics.system import System
 from ...physics.terms import Bending, ControllerSprings, CoulombGround, Dashpot, Gravity, Ground, LinearDrag, NeoHookean, SoftGrip, Springs
+from ...physics.terms.base import CELLS
 from ...physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .checking import Skipped, require
 
@@ -56,15 +57,16 @@ VALUES = dict(
     coulomb_normal_x=0.1,
     coulomb_normal_y=0.05,
     coulomb_normal_z=-1.0,
+    damage_strain=0.02,
 )
-IN_SOLIDS = ("solid", "viscous", "surface", "touch", "grip")
+POINTS = ("surface", "touch", "grip")  # stages at points of the material
 READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
 REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035
 
 
 def of_every_parameter(term) -> None:
     """Raises AssertionError unless the gradient of a roll-out in each parameter of ``term`` is what differences say."""
-    if term.stage in IN_SOLIDS:
+    if term.stage in (*CELLS, *POINTS):
         batch = Batch([solid(term, seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
     else:
         batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
@@ -85,15 +87,17 @@ def kinds_with(term):
 
 
 def solid(term, seed=0):
-    """Cells of foam that a hand holds at one end and that fall and wobble, with ``term`` at some of each of its parameters.
+    """Cells of foam that a hand holds at one end and that fall and wobble, with ``term`` at a typical effect or some of its parameters.
 
     A term that acts at points of the material finds a hand that holds points, and a table that the foam slides on.
     """
     rng = np.random.default_rng(seed)
     samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.004 for n in (12, 6, 5)], indexing="ij"), -1).reshape(-1, 3)
     grid = embed(samples, 0.048 * 0.024 * 0.02, 0.02, offset=rng.random(3))
-    own = {p.name: VALUES.get(p.name, p.decode(0.4)) for p in term.parameters} if term is not NeoHookean else {}
-    pointed = term.stage in ("surface", "touch", "grip")
+    some = {p.name: p.value if term.effect else p.decode(0.4) for p in term.parameters if term is not NeoHookean}
+    given = VALUES | (term.effect.typical if term.effect else {})
+    own = some | {name: given[name] for name in some if name in given}
+    pointed = term.stage in POINTS
     if pointed:
         points = material_points(grid, 100.0, samples[(samples[:, 2] > 0.016) | (samples[:, 0] < 0.004)], 2e-3)
         near = np.flatnonzero(points.home[:, 0] < 0.016)
@@ -191,7 +195,8 @@ def central_difference(batch, inputs, name, index, **window):
     flat = values[name].view(-1)
     u = abs(flat[index].item())
     h = min(1e-7 * max(0.1, u), 1e-6 * u if name == "table" and u else 1.0)  # some parameters are small
-    h = {"directors": 1e-6, "memory": 1e-7, "load": 1e-9, "held": 1e-6}.get(name, h)  # which matter little: rounding counts
+    small = {"directors": 1e-6, "memory": 1e-7, "cell_memory": 1e-7, "load": 1e-9, "held": 1e-6}  # which matter little: rounding counts
+    h = small.get(name, h)
     if name == "mass" and u < 1e-3:  # a node in the corner of a cell, with next to nothing around it
         h = 1e-5 * u
     sides = []

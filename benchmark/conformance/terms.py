@@ -7,7 +7,7 @@ import inspect
 import numpy as np
 
 from ...physics.terms import GroundAdhesion, GroundPose, SelfCollision
-from ...physics.terms.base import ARGUMENTS, REMEMBERING, Term
+from ...physics.terms.base import ARGUMENTS, Term
 from ...physics.terms.soft_ground import SoftGround
 from ...physics.trials import fault, run
 from .checking import Skipped, require
@@ -58,7 +58,7 @@ def law_and_twin_take_the_same_arguments(term):
     if term.law is None:
         raise Skipped(f"a term of stage {term.stage!r} has no law")
     given, own = ARGUMENTS[term.stage], [p.name for p in term.parameters]
-    pairs = [("law", "twin", given)] + ([("evolve", "twin_evolve", (*given, "dt"))] if term.stage in REMEMBERING else [])
+    pairs = [("law", "twin", given)] + ([("evolve", "twin_evolve", (*given, "dt"))] if "q" in given else [])
     for law, twin, arguments in pairs:
         taken = list(inspect.signature(getattr(term, law).func).parameters)
         require(taken == [*arguments, "p", "o"], f"{law} must take ({', '.join(arguments)}, p, o), got ({', '.join(taken)})")
@@ -79,7 +79,7 @@ def the_law_is_its_numpy_twin_in_float64(term):
 def its_memory_is_that_of_its_numpy_twin(term):
     from .laws import agree_in_memory
 
-    if term.stage not in REMEMBERING:
+    if "q" not in ARGUMENTS.get(term.stage, ()):
         raise Skipped(f"a term of stage {term.stage!r} remembers nothing")
     agree_in_memory(term)
 

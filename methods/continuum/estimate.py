@@ -44,7 +44,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """values by name, the ``fit`` that they come from, ``spread`` (F, N) m a coordinate per recording that a sound twin may be off, notes."""
+    """values by name, the ``fit`` that they come from, notes; ``spread`` (F, N) m for each recording: how far off a sound twin may be."""
 
     values: dict[str, float]
     fit: Fit

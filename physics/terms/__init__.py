@@ -11,8 +11,12 @@ from .controller_delay import ControllerDelay
 from .controller_springs import ControllerSprings
 from .coulomb_ground import CoulombGround
 from .creep import Creep
+from .dahl_friction import DahlFriction
+from .damage import Damage
 from .dashpot import Dashpot
 from .directional_ground import DirectionalGround
+from .fibres import Fibres
+from .fung import Fung
 from .gravity import Gravity
 from .gravity_tilt import GravityTilt
 from .grip_compliance import GripCompliance
@@ -21,12 +25,16 @@ from .grip_slip import GripSlip
 from .ground import Ground
 from .ground_adhesion import GroundAdhesion
 from .ground_pose import GroundPose
+from .grown_shape import GrownShape
 from .hidden_obstacle import HiddenObstacle
 from .hidden_tether import HiddenTether
+from .inflation import Inflation
 from .internal_friction import InternalFriction
 from .kelvin_voigt import KelvinVoigt
 from .linear_drag import LinearDrag
+from .maxwell import Maxwell
 from .neo_hookean import NeoHookean
+from .norton_creep import NortonCreep
 from .observer import Observer
 from .plasticity import Plasticity
 from .plate_drag import PlateDrag
@@ -39,13 +47,16 @@ from .soft_grip import SoftGrip
 from .soft_ground import SoftGround
 from .springs import Springs
 from .stiffness_field import StiffnessField
+from .stiffness_patch import StiffnessPatch
 from .strain_stiffening import StrainStiffening
 from .stribeck_ground import StribeckGround
 from .surface_drag import SurfaceDrag
 from .tearing import Tearing
+from .tension_compression import TensionCompression
 from .torsion import Torsion
 from .viscoelastic import Viscoelastic
 from .wind import Wind
+from .yielding import Yielding
 
 __all__ = [
     "AddedMass",
@@ -58,9 +69,13 @@ __all__ = [
     "ControllerSprings",
     "CoulombGround",
     "Creep",
+    "DahlFriction",
+    "Damage",
     "Dashpot",
     "DirectionalGround",
     "Effect",
+    "Fibres",
+    "Fung",
     "Gravity",
     "GravityTilt",
     "GripCompliance",
@@ -69,12 +84,16 @@ __all__ = [
     "Ground",
     "GroundAdhesion",
     "GroundPose",
+    "GrownShape",
     "HiddenObstacle",
     "HiddenTether",
+    "Inflation",
     "InternalFriction",
     "KelvinVoigt",
     "LinearDrag",
+    "Maxwell",
     "NeoHookean",
+    "NortonCreep",
     "Observer",
     "Plasticity",
     "PlateDrag",
@@ -87,12 +106,15 @@ __all__ = [
     "SoftGround",
     "Springs",
     "StiffnessField",
+    "StiffnessPatch",
     "StrainStiffening",
     "StribeckGround",
     "SurfaceDrag",
     "Tearing",
+    "TensionCompression",
     "Term",
     "Torsion",
     "Viscoelastic",
     "Wind",
+    "Yielding",
 ]

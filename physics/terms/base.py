@@ -8,7 +8,11 @@ stage       law                                                      returns
 "strand"    (length, rate, rest, stiffness, link, middle, t, q, p, o) tension along a spring that remembers q [N]
 "hinge"     (kappa, rate, natural, span, p, o)                       moment of a hinge [N m], the work per change of kappa
 "facet"     (area, v, m, swell, dt, p, o)                            force on a facet [N], which its three corners share
-"solid"     (deformed, p, o)                                         first Piola-Kirchhoff stress of a solid [Pa]
+"growth"    (at, p, o)                                               what the rest shape of a solid differs by from frame 0, G - 1
+"flow"      (deformed, home, mu, lame, dt, p, o)                     how it flows in a substep, D: G <- (1 + D) G
+"solid"     (deformed, p, o)                                         first Piola-Kirchhoff stress of its elasticity [Pa]
+"material"  (deformed, home, mu, lame, p, o)                         more of it [Pa]
+"branch"    (stress, deformed, rate, home, mu, lame, q, p, o)        more of it that remembers q [Pa]
 "viscous"   (deformed, rate, p, o)                                   the same [Pa], linear in the deformation's rate
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
 "surface"   (x, v, home, area, m, p, o)                          force on a point of the skin [N] that stands for an area [m^2]
@@ -36,8 +40,13 @@ A facet is three particles; area [m^2] is its area vector, outward where the ski
 that it carries, and swell what the skin enclosed in frame 0 over what it encloses now: 1 where it is open. See ``physics.skin``.
 
 A solid is a grid of cells (``physics.grids``); deformed is the deformation gradient F (3, 3) from the grid's axes to the room, rate [1/s]
-its rate. A solid term may declare ``lateral`` (p, o): how much thinner a plate of it becomes than it is stretched in both directions, nu /
-(1 - nu), which bending asks of cells. Viscous stresses act on velocities after the "velocity" stage, in rounds. See ``physics.cells``.
+its rate. A solid term may declare ``moduli`` (p, o), and ``twin_moduli`` in numpy: Lame's constants (mu, lambda) [Pa] at small strains,
+of which other terms and the cells' bending make theirs. A solid that grew or flowed has a rest shape G of its own: laws but the viscous see
+deformed = F G^-1, and the stress is pulled back, P = det(G) P(F G^-1) G^-T. ``home`` [m] is where the material was in frame 0, ``at`` the
+same from the body's middle, in the grid's axes and rms radii. A branch term declares ``evolve`` (stress, deformed, rate, home, mu, lame, q,
+dt, p, o), its memory after the substep, a matrix (3, 3) at each material point, 0 in frame 0; its law sees q as it is then; ``stress`` [Pa]
+is that of the elasticity. See ``physics.materials``. Viscous stresses act on velocities after the "velocity" stage, in rounds. See
+``physics.cells``.
 
 Where a system has material points (``physics.points``), body forces act on them instead of on nodes, and only then are there the stages
 "surface", "touch" and "grip"; m [kg] is what a point carries of its body, for springs that must hold it. A touch term declares ``evolve``
@@ -47,8 +56,8 @@ declares ``hardness``, (stiffness / m [1/s^2], damping / m [1/s]) at given param
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, facet, solid, body, surface, touch, grip and observer terms, then v <- velocity(v + dt F /
-m), then damping in rounds or contacts, then move.
+Forces are summed over axial, strand, hinge, facet, solid (with what alters it), body, surface, touch, grip and observer terms, then
+v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -57,22 +66,23 @@ from typing import ClassVar
 from ...datasets.collection import nearest
 from ..parameters import Parameter
 
-__all__ = ["ARGUMENTS", "REMEMBERING", "STAGED", "STAGES", "Effect", "Term"]
+__all__ = ["ARGUMENTS", "CELLS", "STAGED", "STAGES", "Effect", "Term"]
 
-# whose laws are in the kernels
-STAGED = (
-    *("axial", "strand", "hinge", "facet", "solid", "viscous", "body", "surface", "touch", "grip"),
-    *("observer", "velocity", "contact", "move"),
-)
+CELLS = ("growth", "flow", "solid", "material", "branch", "viscous")  # of solids: what they do they do in a grid's cells
+SPRINGS, POINTS = ("axial", "strand", "hinge", "facet"), ("body", "surface", "touch", "grip")
+STAGED = (*SPRINGS, *CELLS, *POINTS, "observer", "velocity", "contact", "move")  # whose laws are in the kernels
 STAGES = (*STAGED, "links", "setup")
-REMEMBERING = ("strand", "touch")  # whose terms declare ``evolve``
 # what a law is given, before p and o; its numpy twin is given the same, and then the parameters
 ARGUMENTS = {
     "axial": ("length", "rate", "rest", "stiffness"),
     "strand": ("length", "rate", "rest", "stiffness", "link", "middle", "t", "q"),
     "hinge": ("kappa", "rate", "natural", "span"),
     "facet": ("area", "v", "m", "swell", "dt"),
+    "growth": ("at",),
+    "flow": ("deformed", "home", "mu", "lame", "dt"),
     "solid": ("deformed",),
+    "material": ("deformed", "home", "mu", "lame"),
+    "branch": ("stress", "deformed", "rate", "home", "mu", "lame", "q"),
     "viscous": ("deformed", "rate"),
     "body": ("x", "v", "home", "m"),
     "surface": ("x", "v", "home", "area", "m"),
@@ -123,7 +133,7 @@ class Term:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     law: ClassVar = None
     evolve: ClassVar = None
-    lateral: ClassVar = None
+    moduli: ClassVar = None
     hardness: ClassVar = None
     effect: ClassVar[Effect | None] = None
 

@@ -7,25 +7,40 @@ import warp as wp
 from ..parameters import Parameter
 from .base import Term
 
-__all__ = ["NeoHookean"]
+__all__ = ["NeoHookean", "neo_hookean", "neo_hookean_twin"]
 
 FLATTEST = 0.02  # least J of which the logarithm is taken: beyond it material is all but inside out
 
 
 @wp.func
-def stress(deformed: Any, p: Any, o: int):
+def moduli(p: Any, o: int):
     one = type(p[o])(1.0)
     two = type(p[o])(2.0)
     mu = p[o] / (two * (one + p[o + 1]))
-    lame = two * mu * p[o + 1] / (one - two * p[o + 1])
+    return mu, two * mu * p[o + 1] / (one - two * p[o + 1])
+
+
+@wp.func
+def neo_hookean(deformed: Any, mu: Any, lame: Any):
+    """P of moduli mu and lambda [Pa]."""
     inverse = wp.transpose(wp.inverse(deformed))
-    volume = wp.max(wp.determinant(deformed), type(p[o])(FLATTEST))
+    volume = wp.max(wp.determinant(deformed), type(mu)(FLATTEST))
     return (deformed - inverse) * mu + inverse * (lame * wp.log(volume))
 
 
 @wp.func
-def lateral(p: Any, o: int):
-    return p[o + 1] / (type(p[o])(1.0) - p[o + 1])
+def stress(deformed: Any, p: Any, o: int):
+    mu, lame = moduli(p, o)
+    return neo_hookean(deformed, mu, lame)
+
+
+def neo_hookean_twin(deformed, mu, lame):
+    """The same in numpy, for deformation gradients (..., 3, 3)."""
+    import numpy as np
+
+    inverse = np.swapaxes(np.linalg.inv(deformed), -1, -2)
+    volume = np.log(np.maximum(np.linalg.det(deformed), FLATTEST))
+    return mu * (deformed - inverse) + lame * volume[..., None, None] * inverse
 
 
 class NeoHookean(Term):
@@ -42,15 +57,15 @@ class NeoHookean(Term):
         Parameter("poisson", 0.3, 0.0, 0.49, "-", "Poisson's ratio nu at small strains"),
     )
     law = stress
-    lateral = lateral
+    moduli = moduli
+
+    @staticmethod
+    def twin_moduli(youngs_modulus, poisson):
+        """Lame's constants (mu, lambda) [Pa] in numpy."""
+        mu = youngs_modulus / (2 * (1 + poisson))
+        return mu, 2 * mu * poisson / (1 - 2 * poisson)
 
     @staticmethod
     def twin(deformed, youngs_modulus, poisson):
         """The same law in numpy, for deformation gradients (..., 3, 3)."""
-        import numpy as np
-
-        mu = youngs_modulus / (2 * (1 + poisson))
-        lame = 2 * mu * poisson / (1 - 2 * poisson)
-        inverse = np.swapaxes(np.linalg.inv(deformed), -1, -2)
-        volume = np.log(np.maximum(np.linalg.det(deformed), FLATTEST))
-        return mu * (deformed - inverse) + lame * volume[..., None, None] * inverse
+        return neo_hookean_twin(deformed, *NeoHookean.twin_moduli(youngs_modulus, poisson))

@@ -32,8 +32,8 @@ def bell(home: Any, p: Any, o: int):
 
 
 def bell_twin(home, place, within):
-    """The same in numpy."""
+    """The same in numpy, of ``home`` (..., 3)."""
     import numpy as np
 
     apart = home - np.asarray(place)
-    return np.exp(-(apart @ apart) / (2 * within**2))
+    return np.exp(-(apart * apart).sum(-1) / (2 * within**2))
