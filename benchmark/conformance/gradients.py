@@ -58,6 +58,7 @@ VALUES = dict(
     coulomb_normal_y=0.05,
     coulomb_normal_z=-1.0,
     damage_strain=0.02,
+    grip_rate=300.0,
 )
 POINTS = ("surface", "touch", "grip")  # stages at points of the material
 READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
