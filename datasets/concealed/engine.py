@@ -78,7 +78,7 @@ class World:
 
     def __init__(self, body: Body, script: Script, physics: Physics, substeps: int):
         self.mujoco, self.body, self.dt = imported(), body, 1 / (FPS * substeps)
-        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
         self.start = body.vertices + [0, 0, body.radius]
         self.model = self.mujoco.MjModel.from_xml_string(_mjcf(body, self.start, self.gripped, physics, self.dt))
         self.data = self.mujoco.MjData(self.model)
