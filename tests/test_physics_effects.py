@@ -44,7 +44,6 @@ SETTLED = 1e-9  # where motion decays as exp(-t / tau) for more than 25 tau: e^-
 EFFECTS = [term for term in terms().values() if term.effect]
 
 
-
 def steps(system, dt, count):
     """Positions (count + 1, M, 3) after every single step of ``dt``."""
     return Batch([system], fps=1 / dt, substeps=1, dt=dt, double=True, workers=1).rollout(count + 1).positions[0].numpy()

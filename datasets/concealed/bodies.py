@@ -178,7 +178,9 @@ def _with(body, total, rng, *, bending=1.0, damping=None, **about):
     )
 
 
-SOLIDS = ("tetrahedra", "hexahedra")  # one or two layers that lock, as the first sealed sets have them; ``stuffed``
+# of what stuffed bodies are made: linear tetrahedra in one or two layers, which lock, as the first sealed sets have them;
+# quadratic hexahedra, which do not; the same in a body with straight edges
+SOLIDS = ("tetrahedra", "hexahedra", "boxes")
 BODIES = {"cloth": cloth, "rope": rope, "plush": plush}
 
 
@@ -193,8 +195,8 @@ def draw(kind: str, rng: np.random.Generator, *, fine: bool = False, refine: int
         raise ValueError(f"solids must be one of {', '.join(SOLIDS)}, got {solids!r}")
     if refine < 1:
         raise ValueError(f"refine must be a whole number >= 1, got {refine}")
-    if kind == "plush" and solids == "hexahedra":
+    if kind == "plush" and solids != "tetrahedra":
         from .stuffed import stuffed
 
-        return stuffed(rng, fine=fine, refine=refine)
+        return stuffed(rng, fine=fine, refine=refine, box=solids == "boxes")
     return BODIES[kind](rng, fine=fine, refine=refine)

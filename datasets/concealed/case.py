@@ -13,9 +13,10 @@ from .bodies import Body
 from .effects import EFFECTS, OUTSIDE, Effect, Occasion
 from .engine import Motion, Physics, Unstable
 from .engines import engine as engine_of
+from .motions import Script
 from .sensing import Tracker, observe, sensed
 
-__all__ = ["CLEAR", "CONTROLS", "Case", "build"]
+__all__ = ["CLEAR", "CONTROLS", "Case", "build", "nudged"]
 
 CLEAR = (0.010, 0.060)  # RMS displacement of the points by an effect of clear size [m]
 LEAST = 0.005  # and at least that in the transfer recording [m]
@@ -73,6 +74,8 @@ def build(
     if interactions and (len(interactions) != 2 or not set(interactions) <= set(motions.KINDS | motions.GENTLE)):
         raise ValueError(f"interactions must be two of {', '.join(motions.KINDS | motions.GENTLE)}, got {', '.join(interactions)}")
     simulated, reasons = engine_of(engine), []
+    if solids != "tetrahedra" and body == "plush" and (lost := set(names) & getattr(simulated, "UNABLE_OF_CELLS", frozenset())):
+        raise ValueError(f"the engine {engine!r} cannot conceal {', '.join(sorted(lost))} in a stuffed body of {solids}")
     for attempt in range(DRAWS):
         rng = np.random.default_rng([seed, attempt])
         try:
@@ -260,8 +263,13 @@ def _believed(effect, script, motion):
 
 def _chaos(body, script, motion, engine):
     """RMS by which a motion changes when the hands start a tenth of a millimetre aside [m]: what no twin can predict."""
+    return rms(engine.simulate(body, nudged(script)).vertices - motion.vertices)
+
+
+def nudged(script: Script) -> Script:
+    """The same with hands that go on a tenth of a millimetre aside."""
     moved = tuple(replace(h, moves=tuple((x + NUDGE * (k > 0), y, z) for k, (x, y, z) in enumerate(h.moves))) for h in script.hands)
-    return rms(engine.simulate(body, replace(script, hands=moved)).vertices - motion.vertices)
+    return replace(script, hands=moved)
 
 
 def rms(difference: np.ndarray) -> float:

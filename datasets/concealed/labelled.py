@@ -16,6 +16,7 @@ import numpy as np
 from ..pool import Pool
 from .bodies import SOLIDS
 from .case import CLEAR, CONTROLS, build
+from .convergence import refinement
 from .effects import EFFECTS, OUTSIDE
 from .engines import ENGINES, require
 from .make import write_pair
@@ -51,7 +52,8 @@ def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, pair
     write_pair(case, folder, index)
     (out / TRUTH).mkdir(exist_ok=True)
     np.savez_compressed(out / TRUTH / f"{folder.name}.npz", **case.truth)
-    return case.label | {"seconds": round(time.time() - begun, 1)}
+    label = case.label | refinement(body, how["engine"], how["solids"], case.label["interactions"])
+    return label | {"seconds": round(time.time() - begun, 1)}
 
 
 def main(arguments=None) -> int:
@@ -79,7 +81,9 @@ def _options(arguments):
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--bodies", nargs="+", choices=("cloth", "plush", "rope"), default=("cloth", "plush", "rope"))
     parser.add_argument("--only", nargs="+", choices=(*EFFECTS, *CONTROLS), help="effects and controls to choose from")
-    parser.add_argument("--solids", choices=SOLIDS, default="tetrahedra", help="of what stuffed bodies are made: hexahedra do not lock")
+    parser.add_argument(
+        "--solids", choices=SOLIDS, default="tetrahedra", help="of what stuffed bodies are made: hexahedra and boxes do not lock"
+    )
     parser.add_argument("--pairs", nargs="+", default=(), metavar="FIT:TRANSFER", help="interactions of the cases in turn, as lift:slow")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
     parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")

@@ -14,12 +14,14 @@ PITCH = 0.024  # edge of a cell and of what hands take hold of [m]: one layer in
 SHAPES = ((0.24, 0.06, 0.026), (0.2, 0.12, 0.025), (0.16, 0.09, 0.05), (0.3, 0.05, 0.03))  # length, width, height [m]
 SAG = (0.1, 0.6)  # of length, held at one end, were it little: beyond, the surface folds at the hand, which no mesh of this size shows
 FOAM = (4e3, 2e5)  # Young's modulus of stuffing [Pa]
+CURVED = {"taper": 0.4, "rounding": 0.35, "roundness": 0.6}  # at most, as ``Plush`` has them
 NODES = np.stack(np.meshgrid(*[np.arange(3)] * 3, indexing="ij"), -1).reshape(-1, 3)  # of a cell, as its shape functions have them
 
 
-def stuffed(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> Body:
+def stuffed(rng: np.random.Generator, *, fine: bool = False, refine: int = 1, box: bool = False) -> Body:
     """A bar, slab or parcel of foam. Its vertices are those of ``cells``, 27 each; ``elements`` are linear tetrahedra between them, for
     engines that have no quadratic elements. ``fine`` takes a finer mesh, ``refine`` divides every cell's edge by a whole number.
+    A ``box`` has straight edges, as engines need that keep cells rectangular.
 
     Whichever mesh it has, a hand takes hold of the same blocks, of about ``PITCH``.
     """
@@ -27,7 +29,8 @@ def stuffed(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) ->
     blocks = np.maximum(np.round(size / PITCH), 1).astype(int)
     times = refine * (2 if fine else 1)
     grid = tuple(int(n) for n in 2 * times * blocks)
-    shape = Plush(size=tuple(size), cells=grid, taper=rng.uniform(0, 0.4), rounding=rng.uniform(0, 0.35), roundness=rng.uniform(0, 0.6))
+    curved = {name: 0.0 if box else value for name, value in zip(CURVED, rng.uniform(0, list(CURVED.values())), strict=True)}
+    shape = Plush(size=tuple(size), cells=grid, **curved)
     density, sag = rng.uniform(60, 130), float(np.exp(rng.uniform(np.log(SAG[0]), np.log(SAG[1]))))
     young = float(np.clip(1.5 * density * GRAVITY * size[0] ** 3 / (size[2] ** 2 * sag), *FOAM))  # of a beam under its own weight
     damping, drag, friction = (float(rng.uniform(*of)) for of in ((0.005, 0.02), (0.3, 0.8), (0.3, 0.6)))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Entrant", "Given", "answer", "mean_of", "one_hot", "parts_of", "tasks"]
 
+
 @dataclass
 class Given:
     """A case as all entrants get it: two recordings of one object, no label.
