@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,9 +26,11 @@ from .engines import ENGINES, able, engine, require
 __all__ = ["compare", "main", "refined"]
 
 
-def refined(kind: str, by: str, motion: str, seed: int, *, solids: str = "tetrahedra", refine: int = 2) -> Row:
-    """The row of a body drawn from ``seed``: its own mesh against one ``refine`` times as fine, both simulated by the engine ``by``."""
-    base, script = _drawn(kind, motion, seed, solids)
+def refined(kind: str, by: str, motion: str, seed: int, *, solids: str = "tetrahedra", refine: int = 2, frames: int = 0) -> Row:
+    """The row of a body drawn from ``seed``: its own mesh against one ``refine`` times as fine, both simulated by the engine ``by``, for
+    ``frames`` frames if that is not 0.
+    """
+    base, script = _drawn(kind, motion, seed, solids, frames)
     begun = time.process_time()
     coarse = engine(by).simulate(base, script).vertices
     seconds = time.process_time() - begun
@@ -37,18 +39,19 @@ def refined(kind: str, by: str, motion: str, seed: int, *, solids: str = "tetrah
     return _row(kind, (by,), motion, seed, solids, coarse, fine, _predictable(base, script, coarse, by), seconds)
 
 
-def compare(kind: str, one: str, other: str, motion: str, seed: int, *, solids: str = "tetrahedra") -> Row:
+def compare(kind: str, one: str, other: str, motion: str, seed: int, *, solids: str = "tetrahedra", frames: int = 0) -> Row:
     """The row of two engines that simulate the same body on the same mesh."""
-    base, script = _drawn(kind, motion, seed, solids)
+    base, script = _drawn(kind, motion, seed, solids, frames)
     begun = time.process_time()
     first, second = (engine(by).simulate(base, script).vertices for by in (one, other))
     seconds = time.process_time() - begun
     return _row(kind, (one, other), motion, seed, solids, first, second, _predictable(base, script, first, one), seconds)
 
 
-def _drawn(kind, motion, seed, solids):
+def _drawn(kind, motion, seed, solids, frames):
     body = bodies.draw(kind, np.random.default_rng([seed, 0]), solids=solids)
-    return body, motions.draw(motion, body, np.random.default_rng([seed, 1]))
+    script = motions.draw(motion, body, np.random.default_rng([seed, 1]))
+    return body, replace(script, frames=min(frames or script.frames, script.frames))
 
 
 def _shared(base, fine):
@@ -84,7 +87,7 @@ def main(arguments=None) -> int:
         rows = [Row(**row) for row in json.loads(options.out.read_text())] if options.out and options.out.exists() else []
         for one in _wanted(options):
             if not any((r.kind, r.engine, r.motion, r.seed) == one and r.solids in ("", options.solids) for r in rows):
-                rows += _measured(*one, options.solids)
+                rows += _measured(*one, options.solids, options.frames)
                 _write(options.out, rows)
     except (ImportError, ValueError, OSError) as error:
         print(error, file=sys.stderr)
@@ -102,10 +105,10 @@ def _wanted(options):
                 yield from ((kind, by, motion, seed) for seed in options.seeds)
 
 
-def _measured(kind, by, motion, seed, solids):
+def _measured(kind, by, motion, seed, solids, frames):
     """The row, as a list; none where a simulation is unstable."""
     try:
-        row = (compare if "+" in by else refined)(kind, *by.split("+"), motion, seed, solids=solids)
+        row = (compare if "+" in by else refined)(kind, *by.split("+"), motion, seed, solids=solids, frames=frames)
     except Unstable as reason:
         print(f"{kind} {by} {motion} {seed}: {reason}", file=sys.stderr, flush=True)
         return []
@@ -125,6 +128,7 @@ def _options(arguments):
     parser.add_argument("--motions", nargs="+", choices=(*motions.GENTLE, *motions.KINDS), default=("lift", "lift_shake"))
     parser.add_argument("--seeds", nargs="+", type=int, default=(1,))
     parser.add_argument("--solids", choices=SOLIDS, default="hexahedra", help="of what stuffed bodies are made")
+    parser.add_argument("--frames", type=int, default=0, help="no more than that many frames; 0 for all")
     parser.add_argument("--between", action="store_true", help="the first engine against the others, on one mesh, instead of refining")
     parser.add_argument("--out", type=Path, help="JSON file of the rows; those that are there are kept")
     return parser.parse_args(arguments)
