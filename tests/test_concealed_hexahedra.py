@@ -193,7 +193,7 @@ def test_without_errors_of_measurement_a_recording_is_its_truth():
     motion = Motion(still, place, np.tile(np.eye(3), (1, 6, 1, 1)), (held,))
     quiet = Tracker(noise=0, drift=0, lost=0, hidden=0, tracks=60)
     found, truth = sensed(body, Script("lift", (hand,), 6), motion, quiet, Faults(), np.random.default_rng(0), name="quiet")
-    assert np.abs(found.points - truth["points"])[found.visible].max() < 2e-5  # written in single precision, rounded
+    assert np.abs(found.points - truth["points"])[found.visible].max() < 2**-15 + 1e-9  # ``rounded`` to a grid of 2^-14 m
     assert np.allclose(truth["hands"][:, 0], to_world(place[0])) and np.allclose(truth["turns"], np.eye(3))
 
 
