@@ -37,6 +37,8 @@ class Body:
     fibre      (3,) extra stiffness [Pa] along a unit axis of the rest shape, as axis times modulus
     crease     damping time of a shell's bending alone [s]
     yields     strain at which stretch and bend become plastic, 0 for never
+    cells      (C, 27) vertices of quadratic hexahedra that fill the same room as the elements, for engines that have them; or None
+    blocks     (B, n) vertices of the blocks that a hand takes hold of as a whole, the middle one first; None: it holds single vertices
     """
 
     kind: str
@@ -58,6 +60,8 @@ class Body:
     fibre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     crease: float = 0.0
     yields: tuple[float, float] = (0.0, 0.0)
+    cells: np.ndarray | None = None
+    blocks: np.ndarray | None = None
     about: dict = field(default_factory=dict)
 
     @property
@@ -93,6 +97,16 @@ class Body:
         """Vertices within ``radius`` of a rest position."""
         return np.flatnonzero(np.linalg.norm(self.vertices - np.asarray(point), axis=1) <= radius)
 
+    def held(self, grip, radius: float) -> np.ndarray:
+        """Vertices in a hand that closes on what is within ``radius`` of ``grip``: single ones, or blocks whose middle is there.
+
+        Blocks are the same whatever the mesh, so that a finer one is held no nearer to its end.
+        """
+        if self.blocks is None:
+            return self.near(grip, radius)
+        distance = np.linalg.norm(self.vertices[self.blocks[:, 0]] - np.asarray(grip), axis=1)
+        return np.unique(self.blocks[distance <= max(radius, distance.min())])
+
 
 def lumped(elements, measure, total, count):
     """(V,) masses: every element's share of ``total`` [kg] on its corners."""
@@ -100,10 +114,11 @@ def lumped(elements, measure, total, count):
     return np.bincount(elements.ravel(), np.repeat(total * measure / measure.sum() / corners, corners), count)
 
 
-def cloth(rng: np.random.Generator, *, fine: bool = False) -> Body:
+def cloth(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> Body:
     """A knit of 0.25 to 0.38 m, limp: its bending length is one to two centimetres."""
     size = rng.uniform(0.26, 0.38) * np.array([1, rng.uniform(0.8, 1)])
     nx, ny = (21, 20) if fine else (int(rng.integers(14, 17)), int(rng.integers(13, 16)))
+    nx, ny = refine * (nx - 1) + 1, refine * (ny - 1) + 1
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, nx) * size[0], np.linspace(-0.5, 0.5, ny) * size[1], indexing="ij")
     index = np.arange(nx * ny).reshape(nx, ny)
     a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
@@ -119,9 +134,10 @@ def cloth(rng: np.random.Generator, *, fine: bool = False) -> Body:
     return _with(body, total, rng, bending=float(np.exp(rng.uniform(np.log(2), np.log(10)))), size=size.tolist(), tension=tension)
 
 
-def rope(rng: np.random.Generator, *, fine: bool = False) -> Body:
+def rope(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> Body:
     """A soft cord of 0.45 to 0.75 m that hardly stretches, laid in a slight bow."""
     length, count = rng.uniform(0.45, 0.75), 60 if fine else int(rng.integers(36, 46))
+    count = refine * (count - 1) + 1
     s = np.linspace(-0.5, 0.5, count) * length
     bow = rng.uniform(-0.6, 0.6)
     vertices = np.stack([np.sin(bow * s / length) / bow * length, (1 - np.cos(bow * s / length)) / bow * length, np.zeros(count)], 1)
@@ -133,14 +149,14 @@ def rope(rng: np.random.Generator, *, fine: bool = False) -> Body:
     return _with(body, rng.uniform(0.06, 0.11) * length, rng, length=length, rigidity=rigidity)
 
 
-def plush(rng: np.random.Generator, *, fine: bool = False) -> Body:
+def plush(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> Body:
     """A stuffed bar, slab or parcel of foam. Held at one end it hangs down by ``sag`` times its length, were that little: a limp one would
     crumple at the hand, which no mesh of this size shows.
     """
     size = [(0.24, 0.06, 0.026), (0.2, 0.12, 0.025), (0.16, 0.09, 0.05), (0.3, 0.05, 0.03)][int(rng.integers(4))]
     size = tuple(float(x) for x in np.array(size) * rng.uniform(0.9, 1.15, 3))
     pitch = 0.016 if fine else 0.023
-    cells = tuple(int(n) for n in np.maximum(np.round(np.array(size) / pitch), [1, 2, 1 + fine]))
+    cells = tuple(refine * int(n) for n in np.maximum(np.round(np.array(size) / pitch), [1, 2, 1 + fine]))
     shape = Plush(size=size, cells=cells, taper=rng.uniform(0, 0.4), rounding=rng.uniform(0, 0.35), roundness=rng.uniform(0, 0.6))
     density, sag = rng.uniform(60, 130), float(np.exp(rng.uniform(np.log(0.3), np.log(2))))
     young = float(np.clip(1.5 * density * GRAVITY * size[0] ** 3 / (size[2] ** 2 * sag), *FOAM))  # of a beam under its own weight
@@ -162,11 +178,25 @@ def _with(body, total, rng, *, bending=1.0, damping=None, **about):
     )
 
 
+# of what stuffed bodies are made: linear tetrahedra in one or two layers, which lock, as the first sealed sets have them;
+# quadratic hexahedra, which do not; the same in a body with straight edges
+SOLIDS = ("tetrahedra", "hexahedra", "boxes")
 BODIES = {"cloth": cloth, "rope": rope, "plush": plush}
 
 
-def draw(kind: str, rng: np.random.Generator, *, fine: bool = False) -> Body:
-    """A body of ``BODIES``; ``fine`` takes a finer mesh. Raises ValueError for an unknown kind."""
+def draw(kind: str, rng: np.random.Generator, *, fine: bool = False, refine: int = 1, solids: str = "tetrahedra") -> Body:
+    """A body of ``BODIES``; ``fine`` takes a finer mesh, ``refine`` divides its edges by a whole number and changes nothing else.
+
+    ``solids`` of ``SOLIDS`` says what stuffed bodies are made of. Raises ValueError for an unknown kind or other solids.
+    """
     if kind not in BODIES:
         raise ValueError(f"unknown body {kind!r}; known: {', '.join(BODIES)}")
-    return BODIES[kind](rng, fine=fine)
+    if solids not in SOLIDS:
+        raise ValueError(f"solids must be one of {', '.join(SOLIDS)}, got {solids!r}")
+    if refine < 1:
+        raise ValueError(f"refine must be a whole number >= 1, got {refine}")
+    if kind == "plush" and solids != "tetrahedra":
+        from .stuffed import stuffed
+
+        return stuffed(rng, fine=fine, refine=refine, box=solids == "boxes")
+    return BODIES[kind](rng, fine=fine, refine=refine)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,9 +13,10 @@ from .bodies import Body
 from .effects import EFFECTS, OUTSIDE, Effect, Occasion
 from .engine import Motion, Physics, Unstable
 from .engines import engine as engine_of
-from .sensing import Tracker, observe
+from .motions import Script
+from .sensing import Tracker, observe, sensed
 
-__all__ = ["CLEAR", "CONTROLS", "Case", "build"]
+__all__ = ["CLEAR", "CONTROLS", "Case", "build", "nudged"]
 
 CLEAR = (0.010, 0.060)  # RMS displacement of the points by an effect of clear size [m]
 LEAST = 0.005  # and at least that in the transfer recording [m]
@@ -29,11 +30,15 @@ DRAWS = 10  # bodies and interactions that are tried
 
 @dataclass(frozen=True)
 class Case:
-    """fit, transfer  what a user gets; label  what was concealed, plain numbers and texts for a JSON file."""
+    """fit, transfer  what a user gets; label  what was concealed, plain numbers and texts for a JSON file.
+
+    truth  of both recordings what they would be without errors of measurement (``sensed``), by ``fit_points`` and so on: for scores alone
+    """
 
     fit: Scenario
     transfer: Scenario
     label: dict
+    truth: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 # Hard controls: nothing is missing, but something is harder than usual.
@@ -41,13 +46,23 @@ CONTROLS = ("plain", "finer_mesh", "uneven_stiffness", "more_drift", "long_occlu
 
 
 def build(
-    kind: str, name: str, body: str, *, seed: int, clear: tuple[float, float] = CLEAR, like: str = "", engine: str = "mujoco"
+    kind: str,
+    name: str,
+    body: str,
+    *,
+    seed: int,
+    clear: tuple[float, float] = CLEAR,
+    like: str = "",
+    engine: str = "mujoco",
+    solids: str = "tetrahedra",
+    interactions: tuple[str, ...] = (),
 ) -> Case:
     """One case. ``kind`` is effect, control, outside or pair, ``name`` what of it (a pair ``one+other``), ``body`` cloth, rope, plush.
 
     An effect's size is searched until it moves the points of the fit recording by ``clear`` [m RMS] and by more than chaos does; of a pair
     each by itself. A control is filmed in interactions that could show the effect ``like``, so that these say nothing; in any unless given.
-    ``engine`` of ``ENGINES`` simulates it.
+    ``engine`` of ``ENGINES`` simulates it; ``solids`` of ``bodies.SOLIDS`` says what stuffed bodies are made of. ``interactions`` names
+    those of the fit and of the transfer recording, where they are not to be drawn.
     Raises ValueError for unknown names, RuntimeError where no draw gives a stable and visible effect.
     """
     known = {"effect": EFFECTS, "outside": OUTSIDE, "control": CONTROLS, "pair": EFFECTS}
@@ -56,11 +71,15 @@ def build(
         raise ValueError(f"unknown {kind} {name!r}; known: {', '.join(known.get(kind, known))}")
     if like and like not in EFFECTS | OUTSIDE:
         raise ValueError(f"unknown effect {like!r}; known: {', '.join(EFFECTS | OUTSIDE)}")
+    if interactions and (len(interactions) != 2 or not set(interactions) <= set(motions.KINDS | motions.GENTLE)):
+        raise ValueError(f"interactions must be two of {', '.join(motions.KINDS | motions.GENTLE)}, got {', '.join(interactions)}")
     simulated, reasons = engine_of(engine), []
+    if solids != "tetrahedra" and body == "plush" and (lost := set(names) & getattr(simulated, "UNABLE_OF_CELLS", frozenset())):
+        raise ValueError(f"the engine {engine!r} cannot conceal {', '.join(sorted(lost))} in a stuffed body of {solids}")
     for attempt in range(DRAWS):
         rng = np.random.default_rng([seed, attempt])
         try:
-            return _attempt(kind, names, body, rng, seed, attempt, clear, like, simulated)
+            return _attempt(kind, names, body, rng, seed, attempt, clear, like, simulated, solids, interactions)
         except (Unstable, Dull) as reason:
             reasons.append(str(reason))
     raise RuntimeError(f"no {name} of a {body} in {DRAWS} draws: {'; '.join(reasons)}")
@@ -70,9 +89,9 @@ class Dull(RuntimeError):
     """An effect cannot be seen."""
 
 
-def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine):
+def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, solids, interactions):
     planned, name = [(EFFECTS | OUTSIDE)[n] for n in names if kind != "control"], names[0]
-    body = bodies.draw(body_kind, rng, fine=name == "finer_mesh")
+    body = bodies.draw(body_kind, rng, fine=name == "finer_mesh", solids=solids)
     if name == "uneven_stiffness":
         body = _uneven(body, rng)
     if name == "other_damping":
@@ -81,7 +100,10 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine):
         body = replace(body, bending=body.bending * rng.choice([0.3, 4.0]))
     if name == "other_bending" and body.dim == 1:
         body = replace(body, young=body.young * rng.choice([0.4, 2.5]))
-    scripts = _scripts(planned or [(EFFECTS | OUTSIDE)[like]] if planned or like else [], body, rng)
+    if interactions:
+        scripts = tuple(motions.draw(one, body, rng) for one in interactions)
+    else:
+        scripts = _scripts(planned or [(EFFECTS | OUTSIDE)[like]] if planned or like else [], body, rng)
     plain = (engine.simulate(body, scripts[0]),)
     chaos = _chaos(body, scripts[0], plain[0], engine)
     if chaos > min(CHAOS, clear[1] / BEYOND):
@@ -100,10 +122,11 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine):
         tracker = replace(tracker, drift=2.2 * tracker.drift, noise=1.3 * tracker.noise)
     if name == "long_occlusion":
         tracker = replace(tracker, hidden=2, hiding=(rng.uniform(0.08, 0.11), 35))
-    recordings = [
-        observe(effect.body, script, m, tracker, effect.faults, np.random.default_rng([seed, attempt, i]), name=part)
+    filmed = {
+        part: sensed(effect.body, script, m, tracker, effect.faults, np.random.default_rng([seed, attempt, i]), name=part)
         for i, (part, script, m) in enumerate(zip(("fit", "transfer"), scripts, motion, strict=True))
-    ]
+    }
+    recordings = [recording for recording, _ in filmed.values()]
     label = _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes | {"chaos": chaos}, engine)
     label["place"] = _places([effect], motion, recordings)[0]
     if kind == "pair":
@@ -112,7 +135,9 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine):
             {"effect": n, "parameters": p[0].parameters, **p[2], "place": at, "onset": [_onset(p[0], m) for m in p[1]]}
             for n, p, at in zip(names, parts, there, strict=True)
         ]
-    return Case(*recordings, label)
+    if solids != "tetrahedra":
+        label |= {"solids": solids, "motion": [motions.parts(script) for script in scripts]}
+    return Case(*recordings, label, {f"{part}_{name}": v for part, (_, true) in filmed.items() for name, v in true.items()})
 
 
 def _scripts(planned, body, rng):
@@ -238,8 +263,13 @@ def _believed(effect, script, motion):
 
 def _chaos(body, script, motion, engine):
     """RMS by which a motion changes when the hands start a tenth of a millimetre aside [m]: what no twin can predict."""
+    return rms(engine.simulate(body, nudged(script)).vertices - motion.vertices)
+
+
+def nudged(script: Script) -> Script:
+    """The same with hands that go on a tenth of a millimetre aside."""
     moved = tuple(replace(h, moves=tuple((x + NUDGE * (k > 0), y, z) for k, (x, y, z) in enumerate(h.moves))) for h in script.hands)
-    return rms(engine.simulate(body, replace(script, hands=moved)).vertices - motion.vertices)
+    return replace(script, hands=moved)
 
 
 def rms(difference: np.ndarray) -> float:

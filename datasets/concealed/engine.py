@@ -12,13 +12,22 @@ from .bodies import Body
 from .elements import Elements
 from .motions import Script
 
-__all__ = ["Law", "Motion", "Obstacle", "Physics", "Unstable", "World", "about", "filmed", "pulled", "simulate", "stuck"]
+__all__ = ["UNABLE_OF_CELLS", "Law", "Motion", "Obstacle", "Physics", "Unstable", "World", "about", "filmed", "pulled", "simulate", "stuck"]
 
 FPS = 30.0
 SETTLE = 0.3  # the body lies in closed grips that long before frame 0 [s]
 SLIPPERY = 1e-5  # of the table: MuJoCo takes the larger coefficient of the two in contact, so the body's own counts
 UNROLLED = 0.1  # m, torsional and rolling friction of a rope: where friction times its radius is less it slides and never rolls
+CELLS_SMALLER = 2  # as many steps for quadratic cells: these ring where tetrahedra are too stiff to, and the steps are of first order
+CLOSE = 1e-6  # relative residual to which steps of quadratic cells are solved; their solver runs out of iterations at a hundredth of that
 FASTEST = 20.0  # no vertex of a sane simulation is faster [m/s]
+# what laws ask of elements, and MuJoCo's quadratic cells, linear and corotated, do not give
+UNABLE_OF_CELLS = frozenset(
+    {
+        *("strain_stiffening", "compression_softening", "creep", "internal_friction", "rest_shape", "anisotropy", "plasticity"),
+        *("viscoelastic", "pressure", "uneven_stiffness", "changing_stiffness", "tearing"),
+    }
+)
 
 Step = Callable[[float, np.ndarray, np.ndarray], np.ndarray | None]
 Law = Callable[["World"], Step]
@@ -77,13 +86,15 @@ class World:
     """The running simulation, as laws see it: MuJoCo's ``model`` and ``data``, the ``body``, its ``gripped`` vertices, ``dt`` [s]."""
 
     def __init__(self, body: Body, script: Script, physics: Physics, substeps: int):
+        _check_cells(body)
         self.mujoco, self.body, self.dt = imported(), body, 1 / (FPS * substeps)
-        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
         self.start = body.vertices + [0, 0, body.radius]
         self.model = self.mujoco.MjModel.from_xml_string(_mjcf(body, self.start, self.gripped, physics, self.dt))
         self.data = self.mujoco.MjData(self.model)
         self.events = {}
-        self.bodies = self.model.flex_vertbodyid[: len(body.vertices)]
+        own = self.model.flex_vertbodyid if body.cells is None else self.model.flex_nodebodyid
+        self.bodies = own[: len(body.vertices)]
         self.dofs = self.model.body_dofadr[self.bodies][:, None] + np.arange(3)
         self.slides = self.model.jnt_qposadr[self.model.body_jntadr[self.bodies]][:, None] + np.arange(3)
         self.model.opt.gravity[:] = physics.gravity
@@ -219,7 +230,7 @@ class World:
 
     def _material(self):
         body, model = self.body, self.model
-        if body.dim == 1:
+        if body.dim == 1 or body.cells is not None:
             return
         elements = Elements.of(model)
         modulus = np.linalg.norm(body.fibre)
@@ -281,6 +292,7 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     Raises Unstable where the solution blows up or MuJoCo warns.
     """
     physics = physics or Physics()
+    substeps *= 1 if body.cells is None else CELLS_SMALLER
     world = World(body, script, physics, substeps)
     steps, settle = (script.frames - 1) * substeps, round(settle / world.dt)
     paths = []
@@ -378,21 +390,26 @@ def _mjcf(body, points, gripped, physics, dt):
         f'<inertial pos="0 0 0" mass="{HAND_MASS}" diaginertia="{HAND_MASS} {HAND_MASS} {HAND_MASS}"/></body>'
         for i in range(len(gripped))
     )
-    grips = "".join(f'<connect body1="hand_{i}" body2="body_{v}" anchor="0 0 0" {stiff}/>' for i, held in enumerate(gripped) for v in held)
+    names = _names(body)
+    grips = "".join(
+        f'<connect body1="hand_{i}" body2="{names[v]}" anchor="0 0 0" {stiff}/>' for i, held in enumerate(gripped) for v in held
+    )
     grip = f'condim="6" friction="{body.friction} {UNROLLED} {UNROLLED}"' if body.dim == 1 else f'friction="{body.friction}"'
     contact = f'<contact selfcollide="{"auto" if body.layers else "none"}" {grip} {stiff}/>'
     elastic = f'young="{body.young:.9g}" poisson="{body.poisson}" damping="{body.damping:.9g}"'
     rest = {1: f'shear="{body.shear:.9g}"', 2: f'thickness="{body.thickness}" elastic2d="both"', 3: ""}[body.dim]
     yields = f'yield="{numbers(body.yields if body.dim == 2 else body.yields[:1])}"' if max(body.yields) > 0 else ""
     edge = f'<edge equality="true" {stiff}/>' if body.dim == 1 else ""
+    close = 1e-8 if body.cells is None else CLOSE
+    cells = "" if body.cells is None else f'dof="quadratic" cellcount="{numbers(body.about["cells"])}"'
     return f"""<mujoco>
-  <option timestep="{dt:.12g}" integrator="discrete" cone="elliptic" solver="CG" iterations="200" tolerance="1e-8"/>
+  <option timestep="{dt:.12g}" integrator="discrete" cone="elliptic" solver="CG" iterations="200" tolerance="{close}"/>
   <size memory="64M"/>
   <worldbody>
     {_table(physics)}
     {"".join(map(_geom, physics.obstacles))}
     {hands}
-    <flexcomp name="body" type="direct" dim="{body.dim}" mass="{body.mass.sum():.12g}" radius="{body.radius}"
+    <flexcomp name="body" type="direct" dim="{body.dim}" mass="{body.mass.sum():.12g}" radius="{body.radius}" {cells}
       point="{numbers(points)}" element="{numbers(body.elements)}">
       {contact}
       <elasticity {elastic} {rest} {yields}/>
@@ -402,6 +419,24 @@ def _mjcf(body, points, gripped, physics, dt):
   {_creases(body)}
   <equality>{grips}</equality>
 </mujoco>"""
+
+
+def _names(body):
+    """What MuJoCo calls the body of every vertex: by its number, or its place in the lattice of cells."""
+    if body.cells is None:
+        return [f"body_{v}" for v in range(len(body.vertices))]
+    return ["body_" + "_".join(map(str, place)) for place in np.ndindex(*(2 * n + 1 for n in body.about["cells"]))]
+
+
+def _check_cells(body):
+    """MuJoCo's cells are rectangular, and equal."""
+    if body.cells is None:
+        return
+    corners = body.vertices[body.cells]
+    size = np.ptp(corners, axis=1)
+    straight = all(len(np.unique(np.round(corners[:, :, k] - corners[:, :1, k], 9))) == 3 for k in range(3))
+    if not straight or np.ptp(size, axis=0).max() > 1e-9:
+        raise ValueError("the engine 'mujoco' simulates quadratic cells of boxes alone (solids 'boxes'), got curved or unequal ones")
 
 
 def _table(physics):

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, as_completed
 from itertools import cycle, islice
 from pathlib import Path
@@ -13,12 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from ..pool import Pool
+from .bodies import SOLIDS
 from .case import CLEAR, CONTROLS, build
+from .convergence import refinement
 from .effects import EFFECTS, OUTSIDE
 from .engines import ENGINES, require
 from .make import write_pair
 
 LABELS = "labels.json"
+TRUTH = "truth"  # beside the cases, a file for each: ``Case.truth``
 
 
 def plan(
@@ -29,8 +33,8 @@ def plan(
     chosen = []
     tables = (("effect", EFFECTS, effects), ("outside", OUTSIDE, outside), ("control", dict.fromkeys(CONTROLS), controls))
     for kind, table, count in tables:
-        turns = {}
-        for name in islice(cycle([n for n in table if not only or kind != "effect" or n in only]), count):
+        turns, wanted = {}, [n for n in table if n in (only or ())]
+        for name in islice(cycle(wanted or table), count):
             able = [b for b in bodies if table[name] is None or b in table[name].bodies]
             if able:
                 turns[name] = turns.get(name, int(rng.integers(len(able)))) + 1
@@ -38,13 +42,18 @@ def plan(
     return [chosen[i] for i in rng.permutation(len(chosen))]
 
 
-def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, clear: tuple[float, float], engine: str) -> dict:
-    """Build and write one case; its label."""
+def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, pairs: Sequence[str], **how) -> dict:
+    """Build and write one case, ``how`` as ``build`` takes it, in the interactions of its turn of ``pairs``; its label."""
     begun = time.time()
     folder = out / f"case_{index:03d}"
-    case = build(kind, name, body, seed=int(np.random.default_rng([seed, 1, index]).integers(2**31)), clear=clear, engine=engine)
+    interactions = tuple(pairs[index % len(pairs)].split(":")) if pairs else ()
+    own = int(np.random.default_rng([seed, 1, index]).integers(2**31))
+    case = build(kind, name, body, seed=own, interactions=interactions, **how)
     write_pair(case, folder, index)
-    return case.label | {"seconds": round(time.time() - begun, 1)}
+    (out / TRUTH).mkdir(exist_ok=True)
+    np.savez_compressed(out / TRUTH / f"{folder.name}.npz", **case.truth)
+    label = case.label | refinement(body, how["engine"], how["solids"], case.label["interactions"])
+    return label | {"seconds": round(time.time() - begun, 1)}
 
 
 def main(arguments=None) -> int:
@@ -71,7 +80,11 @@ def _options(arguments):
     parser.add_argument("--outside", type=int, default=6, help="how many with one that is in no catalogue")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--bodies", nargs="+", choices=("cloth", "plush", "rope"), default=("cloth", "plush", "rope"))
-    parser.add_argument("--only", nargs="+", choices=tuple(EFFECTS), help="effects to choose from")
+    parser.add_argument("--only", nargs="+", choices=(*EFFECTS, *CONTROLS), help="effects and controls to choose from")
+    parser.add_argument(
+        "--solids", choices=SOLIDS, default="tetrahedra", help="of what stuffed bodies are made: hexahedra and boxes do not lock"
+    )
+    parser.add_argument("--pairs", nargs="+", default=(), metavar="FIT:TRANSFER", help="interactions of the cases in turn, as lift:slow")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
     parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")
     return parser.parse_args(arguments)
@@ -85,10 +98,9 @@ def _write(options):
     labels = json.loads(file.read_text()) if file.exists() else {}
     wanted = {f"case_{i:03d}": (i, *case) for i, case in enumerate(cases)}
     todo = {name: case for name, case in wanted.items() if name not in labels or not (options.out / name / "transfer").is_dir()}
+    how = {"clear": tuple(options.clear), "engine": options.engine, "solids": options.solids}
     with Pool(options.jobs) as pool:
-        running = {
-            pool.submit(make, options.out, *case, options.seed, tuple(options.clear), options.engine): name for name, case in todo.items()
-        }
+        running = {pool.submit(make, options.out, *case, options.seed, options.pairs, **how): name for name, case in todo.items()}
         for done, future in enumerate(as_completed(running), 1):
             name = running[future]
             try:

@@ -9,7 +9,7 @@ import numpy as np
 from ..synthetic.interactions import Interaction
 from .bodies import Body
 
-__all__ = ["KINDS", "Script", "draw"]
+__all__ = ["GENTLE", "KINDS", "Script", "draw", "parts"]
 
 HOLD = 0.5  # the hands rest that long at the end [s]
 
@@ -24,12 +24,23 @@ class Script:
 
 
 def draw(kind: str, body: Body, rng: np.random.Generator) -> Script:
-    """An interaction of ``KINDS`` with ``body``. Raises ValueError for an unknown kind."""
-    if kind not in KINDS:
-        raise ValueError(f"unknown interaction {kind!r}; known: {', '.join(KINDS)}")
+    """An interaction of ``KINDS`` or ``GENTLE`` with ``body``. Raises ValueError for an unknown kind."""
+    known = KINDS | GENTLE
+    if kind not in known:
+        raise ValueError(f"unknown interaction {kind!r}; known: {', '.join(known)}")
     frames = int(rng.integers(64, 91))
-    hands = KINDS[kind](body, rng, (frames - 1) / 30 - HOLD)
+    hands = known[kind](body, rng, (frames - 1) / 30 - HOLD)
     return Script(kind, hands, frames)
+
+
+def parts(script: Script) -> list[tuple[str, int, int]]:
+    """What happens when: names of parts of the motion with their first frame and the frame after their last; at the end hands rest."""
+    times = np.array(script.hands[0].times)
+    keys, frames = [*SPANS[script.name], len(times) - 1], [0]
+    for key in keys:
+        frames.append(min(int(np.ceil(30 * times[key])), script.frames) if key else 0)
+    named = zip(PARTS[script.name], frames[1:-1], frames[2:], strict=True)
+    return [*((name, a, b) for name, a, b in named if b > a), ("rest", frames[-1], script.frames)]
 
 
 def _ends(body, rng):
@@ -76,6 +87,28 @@ def lift_shake(body, rng, end):
     times = _stretched([0, 0.4, 0.35, 0.25, *rng.uniform(0.2, 0.42, shakes)], end)
     turns = np.concatenate([np.zeros((2, 3)), rng.normal(0, 0.25, (len(moves) - 2, 3))])
     return (_hand(body, grip, reach, times, moves, turns),)
+
+
+def lift(body, rng, end):
+    """Up by one end until the rest hangs, then a long pause."""
+    grip, _, way, reach = _ends(body, rng)
+    up = _height(body, rng)
+    moves = [np.zeros(3), [0, 0, 0.5 * up] - 0.05 * way, [0, 0, up] - 0.1 * way, [0, 0, up] - 0.11 * way]
+    turns = np.concatenate([np.zeros((2, 3)), np.tile(rng.normal(0, 0.25, 3), (2, 1))])
+    return (_hand(body, grip, reach, _stretched([0, *rng.uniform(0.4, 0.6, 2), 0.8], end), moves, turns),)
+
+
+def slow(body, rng, end):
+    """Up by one end, then slowly here and there with a turning wrist: a few centimetres in half a second."""
+    grip, _, way, reach = _ends(body, rng)
+    up, across = _height(body, rng), np.array([-way[1], way[0], 0.0])
+    moves, turns = [np.zeros(3), [0, 0, up] - 0.1 * way], [np.zeros(3), np.zeros(3)]
+    for _ in range(3):
+        a, b, c = rng.uniform(-0.05, 0.05, 3)
+        moves.append(moves[1] + a * way + b * across + [0, 0, c])
+        turns.append(rng.normal(0, 0.3, 3))
+    times = _stretched([0, 0.9, *rng.uniform(0.4, 0.6, 3)], end)
+    return (_hand(body, grip, reach, times, moves, np.array(turns)),)
 
 
 def drag(body, rng, end):
@@ -156,3 +189,25 @@ def _height(body, rng):
 
 
 KINDS = {"lift_shake": lift_shake, "drag": drag, "two_hands": two_hands, "fold": fold, "circle": circle, "twist": twist}
+GENTLE = {"lift": lift, "slow": slow}
+# names of the parts of an interaction, and the key poses at which they begin
+PARTS = {
+    "lift_shake": ("lift", "swing"),
+    "drag": ("drag",),
+    "two_hands": ("lift", "swing"),
+    "fold": ("fold", "lift"),
+    "circle": ("lift", "whirl"),
+    "twist": ("lift", "twist"),
+    "lift": ("lift", "pause"),
+    "slow": ("lift", "slow"),
+}
+SPANS = {
+    "lift_shake": (0, 3),
+    "drag": (0,),
+    "two_hands": (0, 2),
+    "fold": (0, 4),
+    "circle": (0, 2),
+    "twist": (0, 2),
+    "lift": (0, 2),
+    "slow": (0, 1),
+}

@@ -31,7 +31,8 @@ PAIRS = (
 @dataclass(frozen=True)
 class Preset:
     """How many: ``controls``; cases of every effect, one for each of ``levels``, its size over ``FLOOR``; of ``effects`` effects, all where
-    that is None; cases with what no catalogue lists (``outside``), and with two effects (``pairs``).
+    that is None; cases with what no catalogue lists (``outside``), and with two effects (``pairs``). ``solids`` of ``bodies.SOLIDS`` says
+    what stuffed bodies are made of: what locks, as in the sets that were sealed with these presets, unless another is asked.
     """
 
     controls: int
@@ -39,6 +40,7 @@ class Preset:
     outside: int
     pairs: int
     effects: int | None = None
+    solids: str = "tetrahedra"
 
 
 PRESETS = {

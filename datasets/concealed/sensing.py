@@ -16,7 +16,7 @@ from .bodies import Body
 from .engine import FPS, Motion
 from .motions import Script
 
-__all__ = ["Faults", "Tracker", "observe"]
+__all__ = ["Faults", "Tracker", "observe", "sensed"]
 
 CANDIDATES = 6000  # on the skin, and half as many inside, before they are thinned
 TRAIN = 0.7  # share of the frames that may be fitted
@@ -102,6 +102,16 @@ def observe(
     body: Body, script: Script, motion: Motion, tracker: Tracker, faults: Faults, rng: np.random.Generator, *, name: str
 ) -> Scenario:
     """The recording of ``motion``; gravity, table and hands are what a user would believe. The same generator, the same recording."""
+    return sensed(body, script, motion, tracker, faults, rng, name=name)[0]
+
+
+def sensed(
+    body: Body, script: Script, motion: Motion, tracker: Tracker, faults: Faults, rng: np.random.Generator, *, name: str
+) -> tuple[Scenario, dict[str, np.ndarray]]:
+    """The recording as ``observe`` gives it, and what it would be without any error, in the same axes.
+
+    points  (T, N, 3) where the tracked points of the body were [m]; hands  (T, H, 3) the grips; turns  (T, H, 3, 3) rotations of the hands
+    """
     cameras = tracker.cameras()
     skin, faces = _skin(body, to_world(motion.vertices))
     hands = [_hand(hand) for hand in script.hands]
@@ -131,7 +141,7 @@ def observe(
     annotated = spread(measured[0], 9)
     rest = attached.at(_skin(body, body.vertices[None])[0])[0]
     tracks = believed[:, annotated] + 0.5 * tracker.noise * rng.standard_normal((len(measured), 9, 3))
-    return Scenario(
+    scenario = Scenario(
         name=name,
         points=np.where(visible[..., None], measured, 0),
         visible=visible,
@@ -147,6 +157,9 @@ def observe(
         split=Split(int(TRAIN * len(points)), len(points)),
         tracks=np.where(visible[:, annotated, None], rounded(tracks), np.nan),
     )
+    axes = to_world(np.eye(3))
+    turns = axes @ np.swapaxes(motion.rotation, 0, 1) @ axes.T
+    return scenario, {"points": points[:, tracked], "hands": to_world(np.swapaxes(motion.position, 0, 1)), "turns": turns}
 
 
 def _skin(body, vertices):

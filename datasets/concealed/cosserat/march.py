@@ -35,7 +35,7 @@ class World:
         self.body, self.dt, self.events = body, 1 / (FPS * substeps), {}
         self.start = body.vertices + [0, 0, body.radius]
         self.gravity = np.array(physics.gravity)
-        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
         self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
         self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
         self.rotations = np.tile(np.eye(3), (len(self.gripped), 1, 1))

@@ -59,10 +59,29 @@ class Banded:
         """
         from scipy.linalg import solveh_banded
 
+        band = self._band(blocks, diagonal)
+        solution = np.zeros(len(right))
+        solution[self.free[self.order]] = solveh_banded(band, right[self.free[self.order]], overwrite_ab=True, check_finite=False)
+        return solution
+
+    def factor(self, blocks, diagonal: np.ndarray) -> np.ndarray:
+        """The Cholesky factor of (blocks + ``diagonal`` (N,)), for ``solved``. Raises LinAlgError as ``solve`` does."""
+        from scipy.linalg import cholesky_banded
+
+        return cholesky_banded(self._band(blocks, diagonal), overwrite_ab=True, check_finite=False)
+
+    def solved(self, factor: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """(N,) as ``solve``, with a matrix that was factored before."""
+        from scipy.linalg import cho_solve_banded
+
+        solution = np.zeros(len(right))
+        solution[self.free[self.order]] = cho_solve_banded((factor, False), right[self.free[self.order]], check_finite=False)
+        return solution
+
+    def _band(self, blocks, diagonal):
+        """The matrix, its upper diagonals as rows."""
         count = len(self.free)
         values = np.concatenate([block.ravel() for block in blocks])[self.taken]
         band = np.bincount(self.put, values, (self.width + 1) * count).reshape(self.width + 1, count)
         band[-1, self.rank] += diagonal[self.free]
-        solution = np.zeros(len(right))
-        solution[self.free[self.order]] = solveh_banded(band, right[self.free[self.order]], overwrite_ab=True, check_finite=False)
-        return solution
+        return band

@@ -41,27 +41,36 @@ class Continuum:
     """
 
     def __init__(self, body):
-        self.nodes, self.dim, self.damping = body.elements, body.dim, body.damping
+        self.nodes = body.elements
+        dim = body.dim
         edges = body.vertices[body.elements[:, 1:]] - body.vertices[body.elements[:, :1]]  # (K, dim, 3)
-        basis = _basis(edges) if self.dim == 2 else np.broadcast_to(np.eye(3), (len(edges), 3, 3))  # (K, dim, 3)
+        basis = _basis(edges) if dim == 2 else np.broadcast_to(np.eye(3), (len(edges), 3, 3))  # (K, dim, 3)
         slopes = np.linalg.inv(edges @ np.swapaxes(basis, 1, 2))  # (K, dim, dim)
-        self.slopes = np.concatenate([-slopes.sum(axis=2, keepdims=True), slopes], axis=2).swapaxes(1, 2)  # (K, n, dim)
-        self.volume = body.measure * (body.thickness if self.dim == 2 else 1)
+        slopes = np.concatenate([-slopes.sum(axis=2, keepdims=True), slopes], axis=2).swapaxes(1, 2)  # (K, n, dim)
+        self._prepare(body, slopes, body.measure * (body.thickness if dim == 2 else 1), basis, body.stiffness)
+
+    def _prepare(self, body, slopes, volume, basis, stiffness):
+        """The material at K places with the ``slopes`` (K, n, dim) of the shape functions there, ``volume`` and ``stiffness`` (K,)."""
+        self.dim, self.damping, self.slopes, self.volume = body.dim, body.damping, slopes, volume
         self.lame = body.young * body.poisson / (1 + body.poisson) / (1 - 2 * body.poisson)
         self.shear = body.young / 2 / (1 + body.poisson)
-        self.scale = np.ones(len(edges)) if body.stiffness is None else body.stiffness.copy()
+        self.scale = np.ones(len(volume)) if stiffness is None else stiffness.copy()
         self.fibre = basis @ np.array(body.fibre)  # (K, dim): axis times modulus
         self.modulus = float(np.linalg.norm(body.fibre))
         self.limit = body.yields[0] or np.inf
         self.tau = np.inf  # of the flow under any load [s]
         self.branches = []
-        self.flow = np.zeros((len(edges), self.dim, self.dim))
+        self.flow = np.zeros((len(volume), self.dim, self.dim))
         self.before = np.zeros_like(self.flow)
-        self.hooke = self._tangent(np.broadcast_to(np.eye(self.dim), self.flow.shape), *self._thick(np.ones(len(edges))))
+        self.hooke = self._tangent(np.broadcast_to(np.eye(self.dim), self.flow.shape), *self._thick(np.ones(len(volume))))
 
     def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf) -> None:
         """Put a ``Branch`` beside the elements, without stress at rest."""
         self.branches.append(Branch(ratio, tau, limit, np.zeros_like(self.flow)))
+
+    def cut(self, elements) -> None:
+        """``elements`` of the body carry nothing from now on."""
+        self.scale[elements] = 0
 
     def gradient(self, x):
         """(K, 3, dim) deformation gradients."""
@@ -83,15 +92,7 @@ class Continuum:
 
         Blocks are symmetric; ``firm`` ones positive, which those of compressed elements need not be.
         """
-        gradient = self.gradient(x)
-        strain = (np.swapaxes(gradient, 1, 2) @ gradient - np.eye(self.dim)) / 2
-        elastic = strain - self._flowed(strain, dt)
-        stress, tangent = self._elastic(elastic)
-        rate, more = (strain - self.before) * self.damping / dt, self.damping / dt
-        for branch in self.branches:
-            rate = rate + branch.ratio * branch.carried(strain, dt)
-            more = more + branch.ratio / (1 + dt / branch.tau)
-        stress, tangent = stress + full(self.hooke @ voigt(rate)), tangent + more * self.hooke
+        gradient, stress, tangent = self._stressed(x, dt)
         weight = self.volume * self.scale
         pull = weight[:, None, None] * (self.slopes @ stress)  # (K, n, dim)
         rows = self._rows(gradient)
@@ -106,6 +107,18 @@ class Continuum:
         for axis in range(3):
             view[:, :, axis, :, axis] += turning
         return -pull @ np.swapaxes(gradient, 1, 2), blocks
+
+    def _stressed(self, x, dt):
+        """Deformation gradients, second Piola-Kirchhoff stresses (K, dim, dim) and their tangents (K, M, M) at the end of a step."""
+        gradient = self.gradient(x)
+        strain = (np.swapaxes(gradient, 1, 2) @ gradient - np.eye(self.dim)) / 2
+        elastic = strain - self._flowed(strain, dt)
+        stress, tangent = self._elastic(elastic)
+        rate, more = (strain - self.before) * self.damping / dt, self.damping / dt
+        for branch in self.branches:
+            rate = rate + branch.ratio * branch.carried(strain, dt)
+            more = more + branch.ratio / (1 + dt / branch.tau)
+        return gradient, stress + full(self.hooke @ voigt(rate)), tangent + more * self.hooke
 
     def commit(self, x, dt):
         """The step has led to ``x``: what remembers moves on."""

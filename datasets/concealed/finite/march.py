@@ -16,6 +16,7 @@ from .banded import Banded, one_thread
 from .contact import Contacts, gaps
 from .continuum import Continuum
 from .layers import Layers
+from .quadratic import Hexahedra
 from .rods import Rod, turned
 from .shells import Creases
 
@@ -23,6 +24,8 @@ __all__ = ["World", "simulate"]
 
 COARSER = 4  # times the step of an explicit or half implicit engine
 MOST = 12  # iterations in a step
+MOST_LAGGED = 40  # iterations in a step of quadratic elements: their matrix is kept until corrections shrink too slowly
+SLOW = 0.4  # share of the correction before that the next may have before the matrix is made anew
 EXACT = 3e-6  # the last correction of a step is smaller [m]
 LONGEST = 0.02  # correction [m]
 
@@ -37,7 +40,7 @@ class World:
     def __init__(self, body: Body, script: Script, physics: Physics, steps: int):
         self.body, self.dt, self.events = body, 1 / (FPS * steps), {}
         self.start = body.vertices + [0, 0, body.radius]
-        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
         self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
         self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
         self.rotations = np.tile(np.eye(3), (len(self.gripped), 1, 1))
@@ -49,7 +52,8 @@ class World:
         belts = [(*physics.belt, 0.0), *[(0.0, 0.0, 0.0)] * len(physics.obstacles)]
         self.contacts = Contacts(surfaces, belts, body.mass, body.friction, body.radius, GRAVITY)
         self.rod = Rod(body, self.start) if body.dim == 1 else None
-        self.parts = [] if body.dim == 1 else [Continuum(body)] + ([Creases(body)] if body.dim == 2 else [])
+        self.parts = [] if body.dim == 1 else [_elastic(body)] + ([Creases(body)] if body.dim == 2 else [])
+        self.own = self.parts[0].scale.copy() if self.parts else np.ones(len(body.elements))
         self.layers = Layers(body, GRAVITY) if body.layers and body.dim == 2 else None
         self.soft = {}  # by hand, stiffness [N/m] and damping [N s/m] of a vertex in it
         self._number()
@@ -80,6 +84,7 @@ class World:
                 self.clamped.append((hand, segments, self.frames[segments].copy()))
         self.dofs = [*dofs, corners]
         self.system = Banded(self.dofs, free)
+        self.lagged, self.factored = self.body.cells is not None, (None, None)
 
     # --- what laws ask and do ---------------------------------------------------------------------------------------------------------
 
@@ -111,8 +116,7 @@ class World:
 
     def stiffen(self, factor) -> None:
         """Elements (E,) or all are ``factor`` times as stiff as at rest from now on."""
-        own = 1.0 if self.body.stiffness is None else self.body.stiffness
-        self.parts[0].scale = np.broadcast_to(np.multiply(own, factor), (len(self.body.elements),)).copy()
+        self.parts[0].scale = np.broadcast_to(np.multiply(self.own, factor), self.own.shape).copy()
 
     def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf):
         """A spring of ``ratio`` times the stiffness beside every element, in series with a damper or a slider."""
@@ -142,7 +146,7 @@ class World:
 
     def cut(self, elements: np.ndarray) -> None:
         """``elements`` carry nothing from now on."""
-        self.parts[0].scale[elements] = 0
+        self.parts[0].cut(elements)
         for creases in self.parts[1:]:
             creases.scale[np.isin(creases.sides, elements).any(axis=1)] = 0
 
@@ -173,17 +177,22 @@ class World:
         count = x.size
         inertia = self.mass[:, None] * (1 + h * self.body.drag) / h**2
         diagonal = np.concatenate([np.broadcast_to(inertia, x.shape).ravel(), np.repeat(self._rotary() / dt**2, 3)])
-        for _ in range(MOST):
-            force, torque, blocks = self._forces(x, frames, before)
+        last, stale = np.inf, self.lagged and not np.array_equal(touching, self.factored[1])
+        for _ in range(MOST_LAGGED if self.lagged else MOST):
+            fresh = not self.lagged or stale
+            force, torque, blocks = self._forces(x, frames, before, tangent=fresh)
             velocity = (x - ahead) / h
             push = external + self.mass[:, None] * (self.gravity - self.body.drag * velocity - (velocity - swing) / h)
             if self.rod:
                 torque = torque - self._rotary()[:, None] / dt * (_turn(self.frames, frames) / dt - self.spins)
             right = np.concatenate([(force + push).ravel(), torque.ravel()])
-            try:
-                change = self.system.solve(blocks, diagonal, right)
-            except np.linalg.LinAlgError:  # compressed elements push the matrix out of what Newton's method can use
-                change = self.system.solve(self._forces(x, frames, before, firm=True)[2], diagonal, right)
+            if fresh:
+                try:
+                    change = self._solved(blocks, diagonal, right, touching)
+                except np.linalg.LinAlgError:  # compressed elements push the matrix out of what Newton's method can use
+                    change = self._solved(self._forces(x, frames, before, firm=True)[2], diagonal, right, touching)
+            else:
+                change = self.system.solved(self.factored[0], right)
             move = change[:count].reshape(-1, 3)
             size = np.abs(move).max()
             move = move * min(1.0, LONGEST / max(size, 1e-12))
@@ -196,9 +205,17 @@ class World:
                 frames = turned(frames, np.clip(change[count:].reshape(-1, 3), -0.5, 0.5))
             if size < EXACT:
                 break
+            last, stale = size, self.lagged and size > SLOW * last
         # without the inertia of what is held: fingers that let it slip a little do not feel it throw itself about
         self.reaction = np.where(self.held[:, None], force + external + self.mass[:, None] * self.gravity, -self._drawn(x, before))
         self._commit(x, frames, (x - ahead) / h, before)
+
+    def _solved(self, blocks, diagonal, right, touching):
+        """The correction; a matrix that is to serve again is kept with what touched when it was made."""
+        if not self.lagged:
+            return self.system.solve(blocks, diagonal, right)
+        self.factored = (self.system.factor(blocks, diagonal), touching)
+        return self.system.solved(self.factored[0], right)
 
     def _begin(self, guess):
         """Where Newton's method starts: as inertia has it, or as it was where that would turn elements inside out."""
@@ -220,10 +237,10 @@ class World:
     def _rotary(self):
         return self.rod.inertia if self.rod else np.zeros(0)
 
-    def _forces(self, x, frames, before, *, firm=False):
-        """Inner and contact forces (V, 3), torques (S, 3), and all stiffness blocks in the order of ``dofs``."""
+    def _forces(self, x, frames, before, *, firm=False, tangent=True):
+        """Inner and contact forces (V, 3), torques (S, 3), and all stiffness blocks in the order of ``dofs``, if a ``tangent`` is asked."""
         total, blocks = np.zeros(x.size + 3 * len(frames)), []
-        given = [part.evaluate(x, self.dt, firm=firm) for part in self.parts]
+        given = [part.evaluate(x, self.dt, firm=firm) if tangent else (part.pull(x, self.dt), None) for part in self.parts]
         if self.rod:
             given += zip(*self.rod.evaluate(x, frames, self.dt), strict=True)
         given.append(self.contacts.evaluate(x, before, self.dt))
@@ -284,6 +301,11 @@ def _simulate(body, script, physics, per, settle):
         except (np.linalg.LinAlgError, FloatingPointError, ValueError) as reason:
             raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: {reason}") from None
     return filmed(world, script, frames, paths, settle + np.arange(script.frames) * per)
+
+
+def _elastic(body):
+    """The elements of a cloth or a stuffed body."""
+    return Continuum(body) if body.cells is None else Hexahedra(body)
 
 
 def _table(height, rise_x, rise_y):

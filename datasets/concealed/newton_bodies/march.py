@@ -29,7 +29,7 @@ class World:
             raise ValueError(f"the engine 'newton' simulates cloth and plush, got a {body.kind}")
         self.body, self.physics, self.dt, self.events = body, physics, 1 / (FPS * steps), {}
         self.start = body.vertices + [0, 0, body.radius]
-        self.gripped = tuple(body.near(hand.grip, hand.grip_radius) for hand in script.hands)
+        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
         self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
         self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
         self.rotations, self.places = np.tile(np.eye(3), (len(self.gripped), 1, 1)), np.array(self.origins).reshape(-1, 3)
