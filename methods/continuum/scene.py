@@ -12,14 +12,14 @@ from ...physics.grids import Grid
 from ...physics.points import Points, material_points
 from .body import SolidBody, body_of
 from .config import DENSITY
-from .hands import FINGER, SOFT, Hand, frames_of, hands_of
+from .hands import FINGER, SOFT, Hand, frames_of, hands_of, steadied
 from .held import falloff
 
 __all__ = ["REACH", "Grasp", "Scene", "posed"]
 
 REACH = 2.0  # times the usual radius of a grip, at most, that is fitted
+SAME = 1e-9  # m: controllers that start where the recording's do
 SHIFT = 0.015  # m, at most, that the place of a grip is off
-LEAST = 1e-3  # firmness of the usual grip or a larger one that is looked at
 
 
 def posed(grid: Grid, rotation, shift) -> Grid:
@@ -29,14 +29,10 @@ def posed(grid: Grid, rotation, shift) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """What hands may hold: ``points`` (n,) of the material, the ``hand`` (n,) that holds each, and how far it ``agrees`` (n,) in [0, 1].
-
-    A point that two hands could hold belongs to the nearer one.
-    """
+    """What hands may hold: ``points`` (n,) of the material, and the ``hand`` (n,) that holds each, the nearer one of two."""
 
     points: np.ndarray
     hand: np.ndarray
-    agrees: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,53 +90,45 @@ class Scene:
         return self.grid.locate(self.structure)
 
     @cached_property
+    def grips_at(self) -> tuple[np.ndarray, np.ndarray]:
+        """(middles (H, 3) m, radii (H,) m) of the balls that hold what the hands were seen to hold.
+
+        Of what is spread evenly in a ball the RMS distance from its middle is sqrt(3 / 5) of the radius.
+        """
+        from scipy.spatial import cKDTree
+
+        middles, radii = np.zeros((len(self.hands), 3)), np.full(len(self.hands), self.radius)
+        home = self.points.home[self.points.masses > 0]
+        for k, hand in enumerate(self.hands):
+            middles[k] = hand.centre[0]
+            if len(hand.points):
+                near = falloff(cKDTree(self.controllers[0, hand.controllers]).query(home)[0], self.radius)
+                if near.sum() > 0:  # else the body is held by markers that stand off it
+                    middles[k] = near @ home / near.sum()
+                held, share = self.structure[hand.points], hand.firmness / hand.firmness.sum()
+                radii[k] = max(0.5 * self.radius, np.sqrt(share @ ((held - share @ held) ** 2).sum(1) / 0.6))
+        return middles, radii
+
+    @cached_property
     def grasp(self) -> Grasp:
         """Which material points hands may hold, wherever within its bounds their grip is."""
-        from scipy.spatial import cKDTree
-
         inside = np.flatnonzero(self.points.masses > 0)
-        home = self.points.home[inside]
-        distance, agrees = np.full((len(self.hands), len(home)), np.inf), np.zeros((len(self.hands), len(home)))
-        for k, hand in enumerate(self.hands):
-            if not len(hand.points):
-                continue
-            apart = cKDTree(self.controllers[0, hand.controllers]).query(home)[0]
-            near = apart < 1.5 * REACH * self.radius + SHIFT
-            distance[k, near], agrees[k, near] = apart[near], self._agreement(hand, home[near])
-        agrees[agrees < LEAST] = 0
-        hand = np.where(agrees > 0, distance, np.inf).argmin(0) if len(self.hands) else np.zeros(0, int)
-        agree = agrees[hand, np.arange(len(home))] if len(self.hands) else np.zeros(len(home))
-        kept = np.flatnonzero(agree)
-        return Grasp(inside[kept], hand[kept], agree[kept])
-
-    def _agreement(self, hand, places):
-        """(n,) how far what is at ``places`` (n, 3) moves with a hand, as the structure points nearest to them do."""
-        from scipy.spatial import cKDTree
-
-        apart = cKDTree(self.controllers[0, hand.controllers]).query(self.structure)[0]
-        usual, firm = falloff(apart, self.radius), np.zeros(len(self.structure))
-        firm[hand.points] = hand.firmness
-        known = np.flatnonzero((usual > 0.05) | (firm > 0))
-        if not len(known):
-            return np.zeros(len(places))
-        agrees = np.minimum(1.0, firm[known] / np.maximum(usual[known], 0.05))
-        far, who = cKDTree(self.structure[known]).query(places, k=min(4, len(known)))
-        far, who = far.reshape(len(places), -1), who.reshape(len(places), -1)
-        weight = 1 / (far + 0.1 * self.radius) ** 2
-        return (weight * agrees[who]).sum(1) / weight.sum(1)
+        home, (middles, radii) = self.points.home[inside], self.grips_at
+        if not len(self.hands):
+            return Grasp(inside[:0], np.zeros(0, int))
+        apart = np.linalg.norm(home - middles[:, None], axis=2)
+        holds = np.array([len(hand.points) > 0 for hand in self.hands])
+        within = (apart < 1.5 * REACH * radii[:, None] + SHIFT) & holds[:, None]
+        nearest = np.where(within, apart / radii[:, None], np.inf)
+        kept = np.flatnonzero(within.any(0))
+        return Grasp(inside[kept], nearest.argmin(0)[kept])
 
     def firmness(self, shift, reach) -> np.ndarray:
         """(n,) how firmly each point of the grasp is held, where grips are ``shift`` (H, 3) [m] off and ``reach`` (H,) times as wide."""
-        from scipy.spatial import cKDTree
-
-        found = np.zeros(len(self.grasp.points))
-        for k, hand in enumerate(self.hands):
-            own = np.flatnonzero(self.grasp.hand == k)
-            if len(own):
-                at = self.controllers[0, hand.controllers] + shift[k]
-                apart = cKDTree(at).query(self.points.home[self.grasp.points[own]])[0]
-                found[own] = falloff(apart, reach[k] * self.radius) * self.grasp.agrees[own]
-        return found
+        middles, radii = self.grips_at
+        own, home = self.grasp.hand, self.points.home[self.grasp.points]
+        apart = np.linalg.norm(home - (middles + shift)[own], axis=1)
+        return falloff(apart, (reach * radii)[own])
 
     def carried(self, hands=None) -> np.ndarray:
         """(T, n, 3) m, where ``hands`` (the recording's own unless given) carry the points of the grasp."""
@@ -159,7 +147,9 @@ class Scene:
         for hand in self.hands:
             own = np.concatenate([first[:, hand.controllers], controllers[:, hand.controllers]])
             rotation, centre, told = frames_of(own)  # since the recording's frame 0, where the body is held
-            found.append(replace(hand, rotation=rotation[1:], centre=centre[1:], turns=told))
+            at_start = rotation[1] if np.abs(own[1] - own[0]).max() > SAME else np.eye(3)
+            turned = steadied(rotation[1:] @ rotation[1].T, self.fps) @ at_start
+            found.append(replace(hand, rotation=turned, centre=centre[1:], turns=told))
         return tuple(found)
 
 

@@ -19,6 +19,7 @@ from .scene import Scene
 __all__ = ["GRIP", "Simulator"]
 
 GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius over the usual one
+FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
 STEP = 0.1  # relative, in which stiffness and damping are rounded up where the substep is chosen: a search keeps its substeps
 
 
@@ -42,7 +43,7 @@ class Simulator:
         holds, held = scene.points.holds.copy(), scene.points.held.copy()
         holds[grasp.points], held[grasp.points] = np.arange(len(grasp.points)), 1.0
         terms = [NeoHookean(), KelvinVoigt(), Gravity(dict(zip(("gravity_x", "gravity_y", "gravity_z"), scene.gravity, strict=True)))]
-        terms += [LinearDrag({"drag_damping": 0.3}), SoftGrip()]
+        terms += [LinearDrag({"drag_damping": 0.3}), SoftGrip({"grip_rate": FIRM})]
         if scene.ground is not None:
             plane = [*scene.ground.normal, scene.ground.offset]
             names = [f"coulomb_{name}" for name in ("normal_x", "normal_y", "normal_z", "offset")]

@@ -1,0 +1,121 @@
+"""How right twins are about sound bodies: ``python -m twinbench.benchmark.solid_twins SET ... --out FILE``.
+
+A SET is a folder of concealed cases with their truths (``python -m twinbench.datasets.concealed``). Each is fitted on the train frames of its
+first recording and scored against the simulated positions of the tracks where they were seen: on fitted frames, on held-out ones, and
+on the other recording of the same body. Rows say it by part of the motion as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from ..methods.base import Budget, Diverged
+from ..methods.registry import methods
+from .opening import open_scenario
+
+__all__ = ["errors", "main", "summary"]
+
+GENTLE = ("lift", "slow", "pause", "rest")  # parts of motions in which a body is led, not thrown
+
+
+def errors(trajectory, truth, seen) -> np.ndarray:
+    """(T, N) mm, Euclidean distances of tracks from their true places, NaN where they were not seen."""
+    return np.where(seen, 1e3 * np.linalg.norm(trajectory.tracked - truth, axis=-1), np.nan)
+
+
+def case_rows(folder: str, case: str, method: str, preset: str, seed: int) -> list[dict]:
+    """What one case says: a row for each part of each recording, and for all of its fitted, held-out and transfer frames."""
+    root = Path(folder)
+    label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
+    truth = np.load(root / "truth" / f"{case}.npz")
+    home, away = (open_scenario(str(root / case / part)) for part in ("fit", "transfer"))
+    begun = time.time(), time.process_time()
+    about = dict(set=root.name, case=case, method=method, effect=label.get("effect") or "sound", unconverged=label.get("unconverged"))
+    rows = []
+
+    def score(twin, scenario, places, spans):
+        try:
+            off = errors(twin.rollout(scenario.controllers), places, scenario.visible)
+        except Diverged as error:
+            return [about | dict(part="all", of=of, error=np.nan, note=str(error)) for of, _, _ in spans]
+        parts = label["motion"][scenario is away]
+        found = []
+        for of, first, last in spans:
+            found.append(about | dict(part="all", of=of, error=_mean(off[first:last])))
+            found += [
+                about | dict(part=name, of=of, error=_mean(off[max(a, first) : min(b, last)]))
+                for name, a, b in parts
+                if a < last and b > first
+            ]
+        return found
+
+    twin = methods()[method]().fit([home.observed()], budget=Budget(preset), seed=seed)
+    spent = dict(fit_seconds=time.time() - begun[0], fit_cpu=time.process_time() - begun[1])
+    end = home.split.train_end
+    rows += score(twin, home, truth["fit_points"], [("fitted", 0, end), ("held-out", end, len(home.points))])
+    rows += score(twin.retarget(away.observed()), away, truth["transfer_points"], [("transfer", 0, len(away.points))])
+    return [row | spent | dict(values=json.dumps(getattr(twin, "values", {}))) for row in rows]
+
+
+def _mean(off):
+    return float(np.nanmean(off)) if np.isfinite(off).any() else np.nan
+
+
+def summary(rows) -> str:
+    """Medians over cases, by set, and of gentle parts alone."""
+    import pandas as pd
+
+    table = pd.DataFrame(rows)
+    lines = [
+        "| set | method | cases | fitted | held-out | transfer | of gentle parts | | |",
+        "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    for (name, method), own in table.groupby(["set", "method"]):
+        whole, gentle = own[own.part == "all"], own[own.part.isin(GENTLE)]
+        cells = [
+            f"{part[part.of == of].groupby('case').error.mean().median():.2f}"
+            for part in (whole, gentle)
+            for of in ("fitted", "held-out", "transfer")
+        ]
+        lines.append(f"| {name} | {method} | {own.case.nunique()} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main(arguments=None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_twins", description=__doc__.split("\n")[0])
+    parser.add_argument("sets", nargs="+", help="folders of cases with labels.json and truth/")
+    parser.add_argument("--methods", nargs="+", default=["continuum"])
+    parser.add_argument("--preset", default="quick", choices=["quick", "full"])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", help="CSV of all rows")
+    given = parser.parse_args(arguments)
+    jobs = [(s, case, m) for s in given.sets for case in sorted(json.loads((Path(s) / "labels.json").read_text())) for m in given.methods]
+    rows = []
+    with ProcessPoolExecutor(given.jobs) as pool:
+        waiting = {pool.submit(case_rows, s, case, m, given.preset, given.seed): (s, case, m) for s, case, m in jobs}
+        for future, job in waiting.items():
+            try:
+                rows += future.result()
+                print(
+                    *job,
+                    *(f"{row['of']} {row['error']:.2f}" for row in rows[-9:] if row["case"] == job[1] and row["part"] == "all"),
+                    flush=True,
+                )
+            except Exception as error:  # one case must not end the others
+                print(*job, f"{type(error).__name__}: {error}", flush=True)
+            if given.out:
+                import pandas as pd
+
+                pd.DataFrame(rows).to_csv(given.out, index=False)
+    print(summary(rows))
+
+
+if __name__ == "__main__":
+    main()
