@@ -1,6 +1,6 @@
 """How right twins are about sound bodies: ``python -m twinbench.benchmark.solid_twins SET ... --out FILE``.
 
-A SET is a folder of concealed cases with their truths (``python -m twinbench.datasets.concealed``). Each is fitted on the train frames of its
+A SET is a folder of concealed cases with their truths (``python -m twinbench.datasets.concealed``). Each is fitted on train frames of its
 first recording and scored against the simulated positions of the tracks where they were seen: on fitted frames, on held-out ones, and
 on the other recording of the same body. Rows say it by part of the motion as well.
 """

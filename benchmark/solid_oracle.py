@@ -1,0 +1,131 @@
+"""What an oracle gains that is told an effect: ``python -m twinbench.benchmark.solid_oracle SET --out FILE``.
+
+A SET is a folder of concealed stuffed bodies with an effect and their truths. A sound twin is fitted to the first recording; then one whose
+physics has the term of the effect, at its true place and with its true direction, with the amounts fitted. The share of the error that it
+closes on the other recording says what naming the effect could gain at most with these twins.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..methods.base import Diverged
+from ..methods.continuum import Continuum
+from ..methods.continuum.unknowns import Unknown
+from ..physics import terms
+from .opening import open_scenario
+from .solid_twins import errors
+
+__all__ = ["main", "told"]
+
+
+def told(label: dict, grid_axes) -> tuple[tuple, list[Unknown], dict]:
+    """(terms, unknown amounts, what is told) of a label's effect, for a body in a grid with ``grid_axes`` (3, 3).
+
+    Raises KeyError for an effect that no term of a solid says.
+    """
+    effect, known = label["effect"], label["parameters"]
+    place = next((p for p in label["place"] if p), None)
+    if effect == "viscoelastic":
+        amounts = [Unknown("maxwell_share", 0.5, 0.0, 20.0, "-", prior=(0.0, 5.0)), Unknown("maxwell_time", 0.15, 0.01, 2.0, "s", "log")]
+        return (terms.Maxwell(),), amounts, {}
+    if effect == "added_mass":
+        at = {f"added_mass_{axis}": float(c) for axis, c in zip("xyz", place["centroid"], strict=True)}
+        return (
+            (terms.AddedMass(),),
+            [Unknown("added_mass", 0.1, 0.0, 5.0, "-", prior=(0.0, 1.0))],
+            at | {"added_mass_within": place["radius"]},
+        )
+    if effect == "wind":
+        return (terms.Wind(),), [Unknown(f"wind_{axis}", 0.0, -20.0, 20.0, "m/s^2", prior=(0.0, 3.0)) for axis in "xyz"], {}
+    if effect == "anisotropy":
+        x, y, z = np.asarray(grid_axes) @ np.asarray(known["axis_frame0"])
+        way = {"fibre_azimuth": float(np.arctan2(y, x)), "fibre_elevation": float(np.arcsin(np.clip(z, -1, 1))), "fibre_compression": 1.0}
+        return (terms.Fibres(),), [Unknown("fibre_share", 0.5, 0.0, 50.0, "-", prior=(0.0, 5.0))], way
+    if effect == "compression_softening":
+        return (terms.TensionCompression(),), [Unknown("tension_share", 0.1, -0.8, 0.8, "-", prior=(0.0, 0.5))], {}
+    if effect == "grip_compliance":
+        rate = Unknown("grip_rate", 300.0, 20.0, 1500.0, "1/s", "log")
+        return (), [rate, Unknown("grip_damping", 0.2, 0.0, 2.0, "-", prior=(0.2, 0.5))], {}
+    if effect == "quadratic_drag":
+        return (terms.QuadraticDrag(),), [Unknown("quadratic_drag", 0.2, 0.0, 20.0, "1/m", prior=(0.0, 3.0))], {}
+    if effect == "creep":
+        return (terms.NortonCreep(),), [Unknown("norton_rate", 0.5, 0.0, 20.0, "1/s", prior=(0.0, 5.0))], {}
+    raise KeyError(effect)
+
+
+def case_row(folder: str, case: str, seed: int = 0) -> dict:
+    """Errors [mm] of the sound and the told twin on held-out and transfer frames, and the share that is closed."""
+    root = Path(folder)
+    label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
+    truth = np.load(root / "truth" / f"{case}.npz")
+    home, away = (open_scenario(str(root / case / part)) for part in ("fit", "transfer"))
+    row = dict(set=root.name, case=case, effect=label["effect"], moved=1e3 * label["displacement_transfer"], seconds=time.process_time())
+    method, config = Continuum(), Continuum.presets["quick"]
+    sound = method.fitted([home.observed()], config, seed=seed)
+    extra, amounts, fixed = told(label, sound.scene.grid.axes)
+    knowing = method.fitted(
+        [home.observed()],
+        replace(config, starts=2),
+        seed=seed,
+        extra=extra,
+        extra_unknowns=amounts,
+        fixed=fixed,
+    )
+    places = [p for p in label["place"] if p]
+    for name, twin in (("sound", sound), ("told", knowing)):
+        row[f"held_out_{name}"] = _error(twin, home, truth["fit_points"], home.split.train_end)
+        there = twin.retarget(away.observed())
+        if name == "told" and places and label["effect"] == "added_mass":
+            at = {f"added_mass_{axis}": float(c) for axis, c in zip("xyz", places[-1]["centroid"], strict=True)}
+            there = replace(there, values=there.values | at)
+        row[f"transfer_{name}"] = _error(there, away, truth["transfer_points"], 0)
+    for part in ("held_out", "transfer"):
+        row[f"closed_{part}"] = 1 - row[f"{part}_told"] / row[f"{part}_sound"]
+    row["amounts"] = json.dumps(
+        {u.name: knowing.values[u.name] for u in amounts} | {k: label["parameters"][k] for k in label["parameters"]}
+    )
+    return row | dict(seconds=time.process_time() - row["seconds"])
+
+
+def _error(twin, scenario, places, first):
+    try:
+        return float(np.nanmean(errors(twin.rollout(scenario.controllers), places, scenario.visible)[first:]))
+    except Diverged:
+        return np.nan
+
+
+def main(arguments=None) -> None:
+    import pandas as pd
+
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_oracle", description=__doc__.split("\n")[0])
+    parser.add_argument("set", help="folder of cases with labels.json and truth/")
+    parser.add_argument("--cases", nargs="+", help="some of them")
+    parser.add_argument("--out", help="CSV of all rows")
+    given = parser.parse_args(arguments)
+    labels = json.loads((Path(given.set) / "labels.json").read_text(encoding="utf-8"))
+    rows = []
+    for case in given.cases or sorted(labels):
+        try:
+            rows.append(case_row(given.set, case))
+        except KeyError as error:
+            print(f"{case}: no term of a solid says {error}", flush=True)
+            continue
+        print(json.dumps(rows[-1]), flush=True)
+        if given.out:
+            pd.DataFrame(rows).to_csv(given.out, index=False)
+    table = pd.DataFrame(rows)
+    if len(table):
+        names = ["case", "effect", "moved", "held_out_sound", "held_out_told", "transfer_sound", "transfer_told", "closed_transfer"]
+        print(table[names].round(2).to_string(index=False))
+        print(f"closed on the other recording, median of {len(table)}: {table.closed_transfer.median():.2f}")
+
+
+if __name__ == "__main__":
+    main()

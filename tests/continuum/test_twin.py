@@ -1,0 +1,112 @@
+"""The method on recordings that its own engine made: what is fitted comes back, batches are their runs, twins move with the room."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from twinbench.datasets.scenario import Observed, Plane
+from twinbench.methods.continuum.body import body_of
+from twinbench.methods.continuum.config import Config
+from twinbench.methods.continuum.estimate import Sight, estimate, jitter, own_values
+from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.simulate import Simulator
+from twinbench.methods.continuum.twin import ContinuumTwin
+
+SIZE, FRAMES, TRUE = np.array([0.12, 0.04, 0.03]), 14, dict(youngs_modulus=8e3, damping_time=0.01)
+
+
+def lifted(points=None) -> Observed:
+    """A foam block that a hand lifts at one end, 8 cm in half a second; all of it goes along unless tracks are given (F, N, 3)."""
+    lattice = np.stack(np.meshgrid(*[np.linspace(0, s, round(s / 0.01) + 1) for s in SIZE], indexing="ij"), -1).reshape(-1, 3)
+    skin = (np.isclose(lattice, 0) | np.isclose(lattice, SIZE)).any(1)
+    block = np.concatenate([lattice[skin], lattice[~skin]])
+    count = int(skin.sum())
+    hand = Rotation.random(12, random_state=0).apply([0.012, 0, 0]) + [0.01, 0.02, 0.03]
+    t = np.arange(FRAMES) / 30
+    rise = 0.04 * (1 - np.cos(np.pi * np.minimum(t / 0.4, 1)))
+    turns = Rotation.from_rotvec(np.outer(0.4 * np.minimum(t / 0.4, 1), [0, 1, 0]))
+    middle = hand.mean(0)
+
+    def led(x):
+        return np.stack([turn.apply(x - middle) + middle + [0, 0, up] for turn, up in zip(turns, rise, strict=True)])
+
+    points = led(block[:count]) if points is None else points
+    seen = np.ones(points.shape[:2], bool)
+    return Observed(
+        name="block",
+        points=points,
+        visible=seen,
+        motion_valid=seen,
+        controllers=led(hand),
+        interior=block[count:],
+        gravity=np.array([0, 0, -9.8]),
+        ground=Plane(np.array([0, 0, 1.0]), 0.0),
+    )
+
+
+def scene_of(recording, pitch=0.02):
+    return Scene.of(recording, body_of(recording, kind="solid", pitch=pitch))
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """(recording, scene) of a block of known stiffness and damping, lifted, its tracks off by 0.3 mm."""
+    scene = scene_of(lifted())
+    path = Simulator(scene).run([TRUE], FRAMES)[0][:, : scene.counts[0]]
+    assert np.isfinite(path).all()
+    return lifted(path + np.random.default_rng(0).normal(0, 3e-4, path.shape)), scene
+
+
+def test_runs_of_a_batch_are_those_of_single_ones(truth):
+    # each value has substeps of its own, so that a stiff run beside it changes nothing
+    simulator = Simulator(truth[1])
+    values = [TRUE, dict(youngs_modulus=5e4), dict(youngs_modulus=3e3, grip0_shift_x=0.004, grip0_reach=1.3)]
+    together = simulator.run(values, 6)
+    for one, path in zip(values, together, strict=True):
+        np.testing.assert_array_equal(simulator.run([one], 6)[0], path)
+    assert np.abs(together[0] - together[1]).max() > 1e-3 and np.abs(together[0] - together[2]).max() > 1e-3
+
+
+def test_stiffness_and_damping_come_back(truth):
+    # data by the twin's own engine and mesh: what is fitted is what made them, within four of the stated standard deviations and 10 %
+    recording, scene = truth
+    config = Config(starts=2, iterations=4, refinement=3, members=0, grips=False, coarse=1.0)
+    found = estimate([recording], [scene], config, fixed=dict(poisson=0.3, drag_damping=0.3, coulomb_friction=0.4))
+    assert found.values["youngs_modulus"] == pytest.approx(TRUE["youngs_modulus"], rel=0.1)
+    sd = found.fit.sd["youngs_modulus"]
+    assert abs(np.log(found.values["youngs_modulus"] / TRUE["youngs_modulus"])) < max(4 * sd, 0.03)
+    assert found.values["damping_time"] == pytest.approx(TRUE["damping_time"], rel=0.4)
+
+
+def test_the_noise_of_tracks_is_told_from_their_jitter(truth):
+    # white noise of 0.3 mm on a body that stays where it is: var(a - 2 b + c) = 6 var
+    still = np.repeat(truth[0].points[:1], 40, 0) + np.random.default_rng(1).normal(0, 3e-4, (40, *truth[0].points.shape[1:]))
+    assert jitter(still, np.ones(still.shape[:2], bool)) == pytest.approx(3e-4, rel=0.1)
+    assert Sight.of(truth[0], 5).points.shape[0] == 5
+
+
+def test_a_twin_moves_with_the_room(truth):
+    # everything turned about the vertical and shifted: the roll-out is the same one, turned and shifted (no direction is special)
+    recording, scene = truth
+    turn, shift = Rotation.from_rotvec([0, 0, 0.7]).as_matrix(), np.array([0.3, -0.2, 0.0])
+    move = lambda x: x @ turn.T + shift  # noqa: E731
+    moved = replace(
+        recording, name="moved", points=move(recording.points), controllers=move(recording.controllers), interior=move(recording.interior)
+    )
+    twin = ContinuumTwin(scene, TRUE)
+    there = twin.retarget(moved)
+    assert not there.note
+    off = there.rollout(moved.controllers).positions - move(twin.rollout(recording.controllers).positions)
+    assert np.abs(off).max() < 2e-3  # the body is laid by closest points of tracks that are 0.3 mm off
+
+
+def test_values_of_a_recording_are_those_of_its_own_hands():
+    values = dict(youngs_modulus=1.0, rec0_grip0_reach=2.0, rec1_grip0_reach=3.0)
+    assert own_values(values, 1) == dict(youngs_modulus=1.0, grip0_reach=3.0)
+
+
+def test_controllers_of_another_shape_are_refused(truth):
+    twin = ContinuumTwin(truth[1], TRUE)
+    with pytest.raises(ValueError, match=r"controllers must have shape \(T, 12, 3\), got \(5, 3, 3\)"):
+        twin.rollout(np.zeros((5, 3, 3)))
