@@ -90,33 +90,37 @@ class Scene:
         return self.grid.locate(self.structure)
 
     @cached_property
-    def grips_at(self) -> tuple[np.ndarray, np.ndarray]:
-        """(middles (H, 3) m, radii (H,) m) of the balls that hold what the hands were seen to hold.
+    def grips_at(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+        """(places (k, 3) m of each hand, radii (H,) m): a hand holds what is within its radius of any of its places.
 
-        Of what is spread evenly in a ball the RMS distance from its middle is sqrt(3 / 5) of the radius.
+        One place for a hand that is near the body: the middle of the material beside its controllers, and the radius of the ball that what
+        it was seen to hold fills: of what is spread evenly in a ball the RMS distance from its middle is sqrt(3 / 5) of the radius. Driven
+        markers are places themselves.
         """
         from scipy.spatial import cKDTree
 
-        middles, radii = np.zeros((len(self.hands), 3)), np.full(len(self.hands), self.radius)
+        places, radii = [], np.full(len(self.hands), self.radius)
         home = self.points.home[self.points.masses > 0]
         for k, hand in enumerate(self.hands):
-            middles[k] = hand.centre[0]
+            at = self.controllers[0, hand.controllers]
+            if (self.grips[hand.controllers] >= 0).all():
+                places.append(at)
+                continue
+            near = falloff(cKDTree(at).query(home)[0], self.radius)
+            places.append((near @ home / near.sum() if near.sum() > 0 else hand.centre[0])[None])
             if len(hand.points):
-                near = falloff(cKDTree(self.controllers[0, hand.controllers]).query(home)[0], self.radius)
-                if near.sum() > 0:  # else the body is held by markers that stand off it
-                    middles[k] = near @ home / near.sum()
                 held, share = self.structure[hand.points], hand.firmness / hand.firmness.sum()
                 radii[k] = max(0.5 * self.radius, np.sqrt(share @ ((held - share @ held) ** 2).sum(1) / 0.6))
-        return middles, radii
+        return tuple(places), radii
 
     @cached_property
     def grasp(self) -> Grasp:
         """Which material points hands may hold, wherever within its bounds their grip is."""
         inside = np.flatnonzero(self.points.masses > 0)
-        home, (middles, radii) = self.points.home[inside], self.grips_at
+        home, (places, radii) = self.points.home[inside], self.grips_at
         if not len(self.hands):
             return Grasp(inside[:0], np.zeros(0, int))
-        apart = np.linalg.norm(home - middles[:, None], axis=2)
+        apart = np.array([_apart(home, at) for at in places])
         holds = np.array([len(hand.points) > 0 for hand in self.hands])
         within = (apart < 1.5 * REACH * radii[:, None] + SHIFT) & holds[:, None]
         nearest = np.where(within, apart / radii[:, None], np.inf)
@@ -125,10 +129,11 @@ class Scene:
 
     def firmness(self, shift, reach) -> np.ndarray:
         """(n,) how firmly each point of the grasp is held, where grips are ``shift`` (H, 3) [m] off and ``reach`` (H,) times as wide."""
-        middles, radii = self.grips_at
-        own, home = self.grasp.hand, self.points.home[self.grasp.points]
-        apart = np.linalg.norm(home - (middles + shift)[own], axis=1)
-        return falloff(apart, (reach * radii)[own])
+        (places, radii), found = self.grips_at, np.zeros(len(self.grasp.points))
+        for k, at in enumerate(places):
+            own = self.grasp.hand == k
+            found[own] = falloff(_apart(self.points.home[self.grasp.points[own]], at + shift[k]), reach[k] * radii[k])
+        return found
 
     def carried(self, hands=None) -> np.ndarray:
         """(T, n, 3) m, where ``hands`` (the recording's own unless given) carry the points of the grasp."""
@@ -151,6 +156,11 @@ class Scene:
             turned = steadied(rotation[1:] @ rotation[1].T, self.fps) @ at_start
             found.append(replace(hand, rotation=turned, centre=centre[1:], turns=told))
         return tuple(found)
+
+
+def _apart(points, places):
+    """(n,) m, from each of ``points`` (n, 3) to the nearest of ``places`` (k, 3)."""
+    return np.linalg.norm(points[:, None] - places, axis=2).min(1, initial=np.inf)
 
 
 def _from(start: Hand, hand: Hand) -> Hand:
