@@ -1,0 +1,54 @@
+"""The commands that measure twins of solids: errors where tracks were seen, summaries, and what an oracle is told."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from twinbench.benchmark.solid_oracle import told
+from twinbench.benchmark.solid_twins import errors, summary
+
+PLACE = [{"centroid": [0.01, 0.02, 0.03], "radius": 0.04}] * 2
+KNOWN = {"axis_frame0": [0.0, 1.0, 0.0]}
+EFFECTS = ("viscoelastic", "added_mass", "wind", "anisotropy", "compression_softening", "grip_compliance", "quadratic_drag", "creep")
+
+
+def test_errors_are_distances_in_mm_where_tracks_were_seen():
+    tracked = np.zeros((2, 2, 3))
+    truth = np.array([[[3.0, 4.0, 0.0], [1.0, 0, 0]], [[0, 0, 0], [0, 0, 2.0]]]) / 1e3
+    found = errors(SimpleNamespace(tracked=tracked), truth, np.array([[True, False], [True, True]]))
+    np.testing.assert_allclose(found, [[5.0, np.nan], [0.0, 2.0]])  # a 3-4-5 triangle
+
+
+def test_a_summary_is_of_medians_over_cases_and_of_gentle_parts():
+    rows = []
+    for case, error in (("a", 1.0), ("b", 2.0), ("c", 9.0)):
+        for of in ("fitted", "held-out", "transfer"):
+            about = dict(set="s", method="m", case=case, of=of)
+            rows += [
+                about | dict(part="all", error=error),
+                about | dict(part="lift", error=error / 2),
+                about | dict(part="swing", error=50.0),
+            ]
+    assert summary(rows).splitlines()[-1] == "| s | m | 3 | 2.00 | 2.00 | 2.00 | 1.00 | 1.00 | 1.00 |"
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_an_oracle_is_told_of_parameters_that_its_terms_have(effect):
+    label = dict(effect=effect, parameters=KNOWN, place=PLACE)
+    terms, amounts, fixed = told(label, np.eye(3))
+    known = {"grip_rate", "grip_damping", *(p.name for t in terms for p in t.parameters)}
+    assert amounts and {u.name for u in amounts} | set(fixed) <= known
+    for term in terms:
+        own = {p.name for p in term.parameters}
+        term.with_values(**{n: v for n, v in fixed.items() if n in own}, **{u.name: u.value for u in amounts if u.name in own})
+
+
+def test_fibres_are_told_their_direction_in_the_grids_axes():
+    # an axis along the room's y is the first axis of a grid whose first row is y
+    _, _, fixed = told(dict(effect="anisotropy", parameters=KNOWN, place=[None, None]), np.roll(np.eye(3), -1, axis=0))
+    assert (fixed["fibre_azimuth"], fixed["fibre_elevation"]) == pytest.approx((0.0, 0.0))
+
+
+def test_an_effect_that_no_term_says_is_refused():
+    with pytest.raises(KeyError, match="magnetism"):
+        told(dict(effect="magnetism", parameters={}, place=[None]), np.eye(3))
