@@ -81,7 +81,7 @@ def case_row(folder: str, case: str, seed: int = 0) -> dict:
     places = [p for p in label["place"] if p]
     for name, twin in (("sound", sound), ("told", knowing)):
         row[f"held_out_{name}"] = _error(twin, home, truth["fit_points"], home.split.train_end)
-        there = twin.retarget(away.observed())
+        there = twin.retarget(away.initial())
         if name == "told" and places and label["effect"] == "added_mass":
             at = {f"added_mass_{axis}": float(c) for axis, c in zip("xyz", places[-1]["centroid"], strict=True)}
             there = replace(there, values=there.values | at)

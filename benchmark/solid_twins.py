@@ -59,7 +59,7 @@ def case_rows(folder: str, case: str, method: str, preset: str, seed: int) -> li
     spent = dict(fit_seconds=time.time() - begun[0], fit_cpu=time.process_time() - begun[1])
     end = home.split.train_end
     rows += score(twin, home, truth["fit_points"], [("fitted", 0, end), ("held-out", end, len(home.points))])
-    rows += score(twin.retarget(away.observed()), away, truth["transfer_points"], [("transfer", 0, len(away.points))])
+    rows += score(twin.retarget(away.initial()), away, truth["transfer_points"], [("transfer", 0, len(away.points))])
     return [row | spent | dict(values=json.dumps(getattr(twin, "values", {}))) for row in rows]
 
 

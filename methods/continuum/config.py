@@ -13,8 +13,7 @@ DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it s
 class Config:
     """Effort and choices of a fit.
 
-    pitch       edge of a cell in thicknesses of the body: one layer of cells bends right to within 1 % (results/continuum.md)
-    cells       how many at most; a body that would have more gets larger ones
+    pitch       edge of a cell over that of ``gridding.grid_of``: one layer of cells bends right to within 1 % (results/continuum.md)
     starts      of the search, spread over the priors
     iterations  of the search, at most, which is made in larger cells, and of the ``refinement`` in those of ``pitch``
     coarse      how many times as large cells are in the search
@@ -25,7 +24,6 @@ class Config:
     """
 
     pitch: float = 1.0
-    cells: int = 150
     starts: int = 3
     iterations: int = 8
     refinement: int = 4

@@ -17,7 +17,7 @@ from ..base import Diverged, Trajectory, Twin
 from ..registration import align, rigid_transform
 from .body import body_of
 from .hands import Hand
-from .scene import Scene, posed
+from .scene import REACH, Scene, posed
 from .simulate import Simulator
 
 __all__ = ["ContinuumTwin"]
@@ -64,8 +64,9 @@ class ContinuumTwin(Twin):
         """The same body and material in ``target``'s frame 0, held by its hands there.
 
         The rest shape is moved rigidly to where the target's points lie; where they are shaped otherwise it is taken from them instead.
+        Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance.
         """
-        scene = self.scene
+        scene, target = self.scene, _initial(target)
         outer = sum(scene.counts[:2])
         cloud = target.structure[: sum(target.counts[:2])]
         laid = align(scene.structure, cloud, surface=outer)
@@ -79,10 +80,11 @@ class ContinuumTwin(Twin):
             grid, surface, area = body.grid, body.surface, body.area
             notes = ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
         there = Scene.in_grid(target, grid, surface, area, notes)
-        reaches = [v for name, v in self.values.items() if name.endswith("_reach")]
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
-        if reaches:
-            values |= {f"grip{k}_reach": float(np.exp(np.mean(np.log(reaches)))) for k in range(len(there.hands))}
+        wide = [self.values.get(f"grip{k}_reach", 1.0) * radius for k, radius in enumerate(scene.grips_at[1]) if len(scene.hands[k].points)]
+        if wide:  # hands hold as much there as they were found to hold here
+            typical = float(np.exp(np.mean(np.log(wide))))
+            values |= {f"grip{k}_reach": float(np.clip(typical / r, 1 / REACH, REACH)) for k, r in enumerate(there.grips_at[1])}
         return replace(self, scene=there, values=values)
 
     def save(self, folder: Path) -> None:
@@ -130,6 +132,12 @@ def posterior_of(estimate) -> dict:
         at_bounds=list(found.at_bounds),
         unconstrained=list(found.unconstrained),
     )
+
+
+def _initial(recording: Observed) -> Observed:
+    """``recording`` with nothing observed after frame 0."""
+    first = {name: getattr(recording, name)[:1] for name in ("points", "visible", "motion_valid")}
+    return replace(recording, **first, colors=None if recording.colors is None else recording.colors[:1])
 
 
 def _nearest(points, cloud):
