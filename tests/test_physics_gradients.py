@@ -43,6 +43,7 @@ MEMORIES = (*AIR, Plasticity, SelfCollision, Viscoelastic, GripSlip)
 KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "memories too": MEMORIES}
 KINDS |= {"ground and hinges": ROD, "all": (*MEMORIES, Bending, BendingDamping, Torsion, PlateDrag, Pressure)}
 every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
+OF_SOLIDS = ("cell_memory", "load", "held", "anchor")  # see test_physics_materials.py and test_physics_points.py
 HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
 
 
@@ -50,7 +51,7 @@ HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms rea
 @pytest.mark.parametrize("grip", [True, False], ids=["grip", "no grip"])
 @every_kind
 def test_gradient_of_every_input(kinds, grip, name):
-    if (name in HINGED and Bending not in kinds) or name == "cell_memory":  # of solids: see test_physics_materials.py
+    if (name in HINGED and Bending not in kinds) or name in OF_SOLIDS:
         pytest.skip("nothing reads it")
     batch = batch_of(kinds, grip=grip)
     inputs = leaves(batch)

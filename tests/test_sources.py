@@ -70,8 +70,11 @@ def edited(copy, file, change):
         ("methods/rigid.py", {"rigid"}),
         ("methods/static.py", {"static", "rigid"}),  # rigid is a static twin that is moved
         ("methods/phystwin/zero_order.py", ENGINE),  # imported first where it is called
-        ("physics/forward.py", ENGINE),  # imported in a function of kernels.py; GS-Dynamics and Spring-Gaus have engines of their own
-        ("physics/resident.cu", ENGINE),
+        (
+            "physics/forward.py",
+            ENGINE | {"continuum"},
+        ),  # imported in a function of kernels.py; GS-Dynamics and Spring-Gaus have engines of their own
+        ("physics/resident.cu", ENGINE | {"continuum"}),
         ("diagnosis/calibration.json", {"phystwin+diagnosed"}),
         ("physics/terms/braces.py", {"phystwin+diagnosed"}),  # a term that a twin is not made of; a diagnosis tries all
         ("methods/registry.py", set()),

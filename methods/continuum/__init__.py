@@ -57,12 +57,14 @@ class Continuum(Method):
 
     def skip(self, scenario) -> str | None:
         from .body import body_of
+        from .hands import hands_of
 
         seen = scenario.observed() if hasattr(scenario, "observed") else scenario
         try:
             body = body_of(seen, kind=None)
             if body.kind != "solid":
                 return f"a {body.kind}: cells are for solids"
+            hands_of(seen)
         except ValueError as error:
             return str(error)
         return None

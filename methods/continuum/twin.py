@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ...datasets.scenario import Observed, Plane
-from ...physics.catalogue import terms
+from ...physics import terms
 from ...physics.grids import Grid
 from ...physics.terms.base import Term
 from ..base import Diverged, Trajectory, Twin
@@ -98,7 +98,9 @@ class ContinuumTwin(Twin):
         state = {name: getattr(scene, name) for name in ("name", "area", "counts", "radius", "fps", "notes")}
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
-        state |= dict(values=self.values, extra={t.name: t.values for t in self.extra}, posterior=self.posterior, device=self.device)
+        state |= dict(
+            values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior, device=self.device
+        )
         np.savez_compressed(folder / "twin.npz", **arrays)
         (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
 
@@ -117,7 +119,7 @@ class ContinuumTwin(Twin):
         known = {name: arrays[name] for name in ("surface", "structure", "controllers", "grips", "gravity")}
         known |= {name: state[name] for name in ("name", "area", "radius", "fps")}
         scene = Scene(grid=grid, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
-        extra = tuple(terms()[name](values) for name, values in state["extra"].items())
+        extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
         return cls(scene, state["values"], extra, state["posterior"], state["device"])
 
 

@@ -64,9 +64,9 @@ def test_a_box_becomes_itself():
     assert body.kind == "solid" and not body.notes and body.evidence["length_over_width"] < 3
     assert body.volume == pytest.approx(2.4e-4, rel=1e-3) and body.area == pytest.approx(0.0248, rel=0.05)  # as below
     assert 0.036 < body.thickness < 0.0402
-    # half the thickness would be 5 x 3 x 2 cells, whole ones
-    assert len(body.grid.cells) == 30 and body.grid.volume.sum() == pytest.approx(body.volume)
-    np.testing.assert_allclose(np.sort(body.grid.size), 0.02, rtol=0.03)
+    # 48 cells of its volume would be 17 mm long: 6 x 4 x 2 whole ones
+    assert len(body.grid.cells) == 48 and body.grid.volume.sum() == pytest.approx(body.volume)
+    np.testing.assert_allclose(np.sort(body.grid.size), [0.06 / 4, 0.1 / 6, 0.04 / 2], rtol=0.03)
     # samples fill the inside: their middle and spread are the box's
     np.testing.assert_allclose(body.samples.mean(0), [0.05, 0.03, 0.02], atol=5e-4)
     np.testing.assert_allclose(body.samples.std(0), np.array([0.1, 0.06, 0.04]) / np.sqrt(12), rtol=0.02)
@@ -161,7 +161,7 @@ def test_square_sections_get_cells_along_their_sides():
     turned = Rotation.from_rotvec([0.4, 0.2, 0.7])
     body = body_of(recording(turned.apply(points) + [0, 0, 0.2], ground=False))
     assert (
-        len(body.grid.cells) == 28 and np.abs(turned.as_matrix().T @ body.grid.axes.T).max(0).min() > 0.9998
+        len(body.grid.cells) == 32 and np.abs(turned.as_matrix().T @ body.grid.axes.T).max(0).min() > 0.9998
     )  # turned in steps of a degree
 
 
