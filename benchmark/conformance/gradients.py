@@ -58,6 +58,7 @@ VALUES = dict(
     coulomb_normal_y=0.05,
     coulomb_normal_z=-1.0,
     damage_strain=0.02,
+    maxwell_time=0.02,
     grip_rate=300.0,
 )
 POINTS = ("surface", "touch", "grip")  # stages at points of the material
@@ -68,9 +69,7 @@ REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others
 def of_every_parameter(term) -> None:
     """Raises AssertionError unless the gradient of a roll-out in each parameter of ``term`` is what differences say."""
     if term.stage in (*CELLS, *POINTS):
-        batch = Batch(
-            [solid(term, seed) for seed in (0, 1)], fps=30, substeps=(4 if term.stage in POINTS else 2) * SUBSTEPS, double=True, workers=1
-        )
+        batch = Batch([solid(term, seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
     else:
         batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
     inputs = leaves(batch)
