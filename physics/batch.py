@@ -167,7 +167,7 @@ class Batch:
         self.facet_starts = facets["facet_start"]
         cells = assemble_cells(systems, start, count, self.rounds.astype(int))
         self.cell_starts = cells["cell_start"]
-        solid = {name: cells.pop(name) for name in ("points", "cell_volume", "cell_home", "cell_at", "half", "ease")}
+        solid = {name: cells.pop(name) for name in ("points", "cell_volume", "cell_home", "cell_at", "per", "ease")}
         points, outside = assemble_points(systems, start, [i[s.particle_count :] for i, s in zip(indices, systems, strict=True)], count)
         self.point_starts = points["point_start"]
         solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}

@@ -7,7 +7,12 @@ A motion m of the corners changes the deformation gradient F = F_0 (1 + A(q)), q
 so that F's rate is D(v), and the forces f on the corners are such that f . m = -sum_p w_p P_p : D_p(m) for every m. The adjoint of a
 force is a motion, too: all that a cell adds on the way back is the derivative of sum_p w_p P_p(F, D(v)) : D(m) by x and v.
 
-Damping is linear in the velocities, and stiffer than what it damps: f_v = -C(x) v with dt |C| / m far above 2. A substep takes it in rounds
+Damping is asked for ten times a substep and more. It takes the Green strain's rate of a cell as
+
+    E'(m) = sym(F_0^T M_0 + A(F_0^T (m - M_0 q))),
+
+which is exact in a cell that is strained evenly, and none in a rigid motion; f . m = -sum_p w_p S_p(E'_p(v)) : E'_p(m). Those forces are
+linear in the velocities, and stiffer than what they damp: f_v = -C(x) v with dt |C| / m far above 2. A substep takes them in rounds
 v <- v + (share_r dt / m) f_v at the same positions. Shares at the roots of Chebyshev's polynomial are stable far beyond single steps (super
 time stepping; Alexiades, Amiez and Gremaud 1996). Two equal passes make of their polynomial its square: a velocity that came out of damping
 with its sign turned would make the elastic force push outwards.
@@ -56,41 +61,41 @@ def cell_functions(kit):
         return inverse * g1, inverse * g2, inverse * g3, inverse * g4
 
     @wp.func
-    def bent(q1: vec, q2: vec, q3: vec, q4: vec, at: vec, half: vec, lateral: R):
+    def bent(q1: vec, q2: vec, q3: vec, q4: vec, at: vec, per: vec, lateral: R):
         """A(q) at a point of the cell."""
         x = at[0]
         y = at[1]
         z = at[2]
-        a = half[0]
-        b = half[1]
-        c = half[2]
+        a = per[0]
+        b = per[1]
+        c = per[2]
         return mat(
-            (q2[0] * z + q3[0] * y + q4[0] * y * z) / a - lateral * x * (q3[1] / b + q2[2] / c),
-            q1[0] * z / b,
-            q1[0] * y / c,
-            q2[1] * z / a,
-            (q1[1] * z + q3[1] * x + q4[1] * z * x) / b - lateral * y * (q3[0] / a + q1[2] / c),
-            q2[1] * x / c,
-            q3[2] * y / a,
-            q3[2] * x / b,
-            (q1[2] * y + q2[2] * x + q4[2] * x * y) / c - lateral * z * (q2[0] / a + q1[1] / b),
+            (q2[0] * z + q3[0] * y + q4[0] * y * z) * a - lateral * x * (q3[1] * b + q2[2] * c),
+            q1[0] * z * b,
+            q1[0] * y * c,
+            q2[1] * z * a,
+            (q1[1] * z + q3[1] * x + q4[1] * z * x) * b - lateral * y * (q3[0] * a + q1[2] * c),
+            q2[1] * x * c,
+            q3[2] * y * a,
+            q3[2] * x * b,
+            (q1[2] * y + q2[2] * x + q4[2] * x * y) * c - lateral * z * (q2[0] * a + q1[1] * b),
         )
 
     @wp.func
-    def unbent(t: mat, at: vec, half: vec, lateral: R):
+    def unbent(t: mat, at: vec, per: vec, lateral: R):
         """The transpose of ``bent``: what T : A(q) is per unit of q_1 to q_4, as columns."""
         x = at[0]
         y = at[1]
         z = at[2]
-        a = half[0]
-        b = half[1]
-        c = half[2]
-        d1 = t[0, 0] / a
-        d2 = t[1, 1] / b
-        d3 = t[2, 2] / c
-        q1 = vec(t[0, 1] * z / b + t[0, 2] * y / c, d2 * z - lateral * z * t[2, 2] / b, d3 * y - lateral * y * t[1, 1] / c)
-        q2 = vec(d1 * z - lateral * z * t[2, 2] / a, t[1, 0] * z / a + t[1, 2] * x / c, d3 * x - lateral * x * t[0, 0] / c)
-        q3 = vec(d1 * y - lateral * y * t[1, 1] / a, d2 * x - lateral * x * t[0, 0] / b, t[2, 0] * y / a + t[2, 1] * x / b)
+        a = per[0]
+        b = per[1]
+        c = per[2]
+        d1 = t[0, 0] * a
+        d2 = t[1, 1] * b
+        d3 = t[2, 2] * c
+        q1 = vec(t[0, 1] * z * b + t[0, 2] * y * c, d2 * z - lateral * z * t[2, 2] * b, d3 * y - lateral * y * t[1, 1] * c)
+        q2 = vec(d1 * z - lateral * z * t[2, 2] * a, t[1, 0] * z * a + t[1, 2] * x * c, d3 * x - lateral * x * t[0, 0] * c)
+        q3 = vec(d1 * y - lateral * y * t[1, 1] * a, d2 * x - lateral * x * t[0, 0] * b, t[2, 0] * y * a + t[2, 1] * x * b)
         return q1, q2, q3, vec(d1 * y * z, d2 * z * x, d3 * x * y)
 
     @wp.func
@@ -99,29 +104,45 @@ def cell_functions(kit):
         return R((a >> (2 - j)) % 2 * 2 - 1)
 
     @wp.func
-    def moments(x0: vec, x1: vec, x2: vec, x3: vec, x4: vec, x5: vec, x6: vec, x7: vec, half: vec):
+    def moments(x0: vec, x1: vec, x2: vec, x3: vec, x4: vec, x5: vec, x6: vec, x7: vec, per: vec):
         """(F_0, g_1 to g_4) of corners."""
         e = R(0.125)
-        s1 = (x4 + x5 + x6 + x7 - x0 - x1 - x2 - x3) * (e / half[0])
-        s2 = (x2 + x3 + x6 + x7 - x0 - x1 - x4 - x5) * (e / half[1])
-        s3 = (x1 + x3 + x5 + x7 - x0 - x2 - x4 - x6) * (e / half[2])
-        g1 = (x0 + x3 + x4 + x7 - x1 - x2 - x5 - x6) * e
-        g2 = (x0 + x2 + x5 + x7 - x1 - x3 - x4 - x6) * e
-        g3 = (x0 + x1 + x6 + x7 - x2 - x3 - x4 - x5) * e
-        g4 = (x1 + x2 + x4 + x7 - x0 - x3 - x5 - x6) * e
+        p0 = x4 + x0  # sums and differences along the first axis, then the second, then the third
+        p1 = x5 + x1
+        p2 = x6 + x2
+        p3 = x7 + x3
+        m0 = x4 - x0
+        m1 = x5 - x1
+        m2 = x6 - x2
+        m3 = x7 - x3
+        pp0 = p2 + p0
+        pp1 = p3 + p1
+        pm0 = p2 - p0
+        pm1 = p3 - p1
+        mp0 = m2 + m0
+        mp1 = m3 + m1
+        mm0 = m2 - m0
+        mm1 = m3 - m1
+        s1 = (mp1 + mp0) * (e * per[0])
+        s2 = (pm1 + pm0) * (e * per[1])
+        s3 = (pp1 - pp0) * (e * per[2])
+        g1 = (pm1 - pm0) * e
+        g2 = (mp1 - mp0) * e
+        g3 = (mm1 + mm0) * e
+        g4 = (mm1 - mm0) * e
         return mat(s1[0], s2[0], s3[0], s1[1], s2[1], s3[1], s1[2], s2[2], s3[2]), g1, g2, g3, g4
 
     @wp.func
-    def spread(a: int, first: mat, g1: vec, g2: vec, g3: vec, g4: vec, half: vec):
+    def spread(a: int, first: mat, g1: vec, g2: vec, g3: vec, g4: vec, per: vec):
         """What corner ``a`` gets of adjoints of F_0 and g: the transpose of ``moments``."""
         s = sign(a, 0)
         t = sign(a, 1)
         u = sign(a, 2)
-        along = first * vec(s / half[0], t / half[1], u / half[2])
+        along = first * vec(s * per[0], t * per[1], u * per[2])
         return (along + g1 * (t * u) + g2 * (u * s) + g3 * (s * t) + g4 * (s * t * u)) * R(0.125)
 
     @wp.func
-    def places(w: World, slot: int, c: int, half: vec):
+    def places(w: World, slot: int, c: int, per: vec):
         """(F_0, g_1 to g_4) of the corners of cell ``c``."""
         at = slot * w.nodes
         f, g1, g2, g3, g4 = moments(
@@ -133,12 +154,12 @@ def cell_functions(kit):
             get_x(w.state, at + w.cell[c, 5]),
             get_x(w.state, at + w.cell[c, 6]),
             get_x(w.state, at + w.cell[c, 7]),
-            half,
+            per,
         )
         return f, g1, g2, g3, g4
 
     @wp.func
-    def speeds(w: World, row: int, r: int, c: int, half: vec):
+    def speeds(w: World, row: int, r: int, c: int, per: vec):
         """The same of their velocities before round ``r``."""
         m, m1, m2, m3, m4 = moments(
             w.eased[row, r, w.cell[c, 0]],
@@ -149,7 +170,7 @@ def cell_functions(kit):
             w.eased[row, r, w.cell[c, 5]],
             w.eased[row, r, w.cell[c, 6]],
             w.eased[row, r, w.cell[c, 7]],
-            half,
+            per,
         )
         return m, m1, m2, m3, m4
 
@@ -167,7 +188,7 @@ def starts(kit):
         return lame / wp.max(lame + mu + mu, R(1.0e-30))  # of no elasticity none
 
     @wp.func
-    def started(w: World, slot: int, c: int, half: vec):
+    def started(w: World, slot: int, c: int, per: vec):
         at = slot * w.nodes
         m, m1, m2, m3, m4 = moments(
             get_v(w.state, at + w.cell[c, 0]),
@@ -178,11 +199,31 @@ def starts(kit):
             get_v(w.state, at + w.cell[c, 5]),
             get_v(w.state, at + w.cell[c, 6]),
             get_v(w.state, at + w.cell[c, 7]),
-            half,
+            per,
         )
         return m, m1, m2, m3, m4
 
     return contraction, started
+
+
+def rates(kit):
+    """(mixed, green): what damping sees of a cell's motion, and of it at a point."""
+    R, vec, mat = kit.R, kit.vec, kit.mat
+    bent = cell_functions(kit)[1]
+
+    @wp.func
+    def mixed(first: mat, q1: vec, q2: vec, q3: vec, q4: vec, m: mat, m1: vec, m2: vec, m3: vec, m4: vec):
+        """F_0^T M_0, and F_0^T (m - M_0 q) of each mode."""
+        turned = wp.transpose(first)
+        return turned * m, turned * (m1 - m * q1), turned * (m2 - m * q2), turned * (m3 - m * q3), turned * (m4 - m * q4)
+
+    @wp.func
+    def green(mean: mat, n1: vec, n2: vec, n3: vec, n4: vec, at: vec, per: vec, lateral: R):
+        """The rate of the Green strain at a point of the cell."""
+        whole = mean + bent(n1, n2, n3, n4, at, per, lateral)
+        return (whole + wp.transpose(whole)) * R(0.5)
+
+    return mixed, green
 
 
 def make_cells(kit):
@@ -198,31 +239,51 @@ def make_cells(kit):
     altering = kit.growing or kit.adding or remembering
     pulled, bent, unbent, _moments, spread, places, speeds = cell_functions(kit)
     contraction, started = starts(kit)
+    mixed, green = rates(kit)
     matter = make_point(kit)
 
     @wp.func
-    def leave(
-        w: World, c: int, inverse: mat, q1: vec, q2: vec, q3: vec, q4: vec, first: mat, t1: vec, t2: vec, t3: vec, t4: vec, half: vec
-    ):
-        """Leave the forces on the corners of cell ``c`` that adjoints of F_0 and q stand for."""
-        back = wp.transpose(inverse)
+    def leave(w: World, c: int, back: mat, q1: vec, q2: vec, q3: vec, q4: vec, first: mat, t1: vec, t2: vec, t3: vec, t4: vec, per: vec):
+        """Leave the forces on the corners of cell ``c`` that adjoints of F_0 and g stand for, of g as ``back`` t."""
         g1 = back * t1
         g2 = back * t2
         g3 = back * t3
         g4 = back * t4
         whole = first - wp.outer(g1, q1) - wp.outer(g2, q2) - wp.outer(g3, q3) - wp.outer(g4, q4)
-        for a in range(w.cell.shape[1]):
-            w.squeeze[c, a] = -spread(a, whole, g1, g2, g3, g4, half)
+        e = R(-0.125)
+        s1 = whole * vec(e * per[0], R(0.0), R(0.0))
+        s2 = whole * vec(R(0.0), e * per[1], R(0.0))
+        s3 = whole * vec(R(0.0), R(0.0), e * per[2])
+        twist = g1 * e  # ``spread`` over all corners: what is even along the first axis, and what is odd
+        u = g2 * e
+        t = g3 * e
+        tu = g4 * e
+        even = twist - s2 - s3
+        odd = s1 - u - t + tu
+        w.squeeze[c, 0] = even - odd
+        w.squeeze[c, 4] = even + odd
+        even = s3 - s2 - twist
+        odd = s1 + u - t - tu
+        w.squeeze[c, 1] = even - odd
+        w.squeeze[c, 5] = even + odd
+        even = s2 - s3 - twist
+        odd = s1 - u + t - tu
+        w.squeeze[c, 2] = even - odd
+        w.squeeze[c, 6] = even + odd
+        even = s2 + s3 + twist
+        odd = s1 + u + t + tu
+        w.squeeze[c, 3] = even - odd
+        w.squeeze[c, 7] = even + odd
 
     @wp.func
     def strain(w: World, slot: int, after: int, b: int, c: int, dt: R, p: ps):
         """Leave the elastic forces of cell ``c`` on its corners, and what its material then remembers in slot ``after``."""
-        half = w.half[b]
+        per = w.per[b]
         p_growth = load_growth(w.table, b)
         p_flow = load_flow(w.table, b)
         p_material = load_material(w.table, b)
         p_branch = load_branch(w.table, b)
-        first, g1, g2, g3, g4 = places(w, slot, c, half)
+        first, g1, g2, g3, g4 = places(w, slot, c, per)
         inverse = wp.inverse(first)
         q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
         lateral = contraction(p)
@@ -238,14 +299,14 @@ def make_cells(kit):
         n3 = vec()
         n4 = vec()
         if wp.static(branching):
-            moved, m1, m2, m3, m4 = started(w, slot, c, half)
+            moved, m1, m2, m3, m4 = started(w, slot, c, per)
             n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
         for k in range(w.points.shape[1]):
             point = w.points[c, k]
-            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, per, lateral)
             rate = mat()
             if wp.static(branching):
-                rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
+                rate = moved * whole + first * bent(n1, n2, n3, n4, point, per, lateral)
             q = pt()
             if wp.static(remembering):
                 q = w.cell_memory[slot, c, k]
@@ -259,41 +320,39 @@ def make_cells(kit):
                 w.cell_memory[after, c, k] = then
             stress = own * weight
             on_first += stress * wp.transpose(whole)
-            u1, u2, u3, u4 = unbent(wp.transpose(first) * stress, point, half, lateral)
+            u1, u2, u3, u4 = unbent(wp.transpose(first) * stress, point, per, lateral)
             t1 += u1
             t2 += u2
             t3 += u3
             t4 += u4
-        leave(w, c, inverse, q1, q2, q3, q4, on_first, t1, t2, t3, t4, half)
+        leave(w, c, wp.transpose(inverse), q1, q2, q3, q4, on_first, t1, t2, t3, t4, per)
 
     @wp.func
     def drag(w: World, slot: int, row: int, r: int, b: int, c: int, p: ps, p_viscous: pv):
         """Leave the damping forces of cell ``c`` on its corners, at the velocities before round ``r``."""
-        half = w.half[b]
-        first, g1, g2, g3, g4 = places(w, slot, c, half)
-        moved, m1, m2, m3, m4 = speeds(w, row, r, c, half)
-        inverse = wp.inverse(first)
-        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
-        n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
+        per = w.per[b]
+        first, g1, g2, g3, g4 = places(w, slot, c, per)
+        moved, m1, m2, m3, m4 = speeds(w, row, r, c, per)
+        q1, q2, q3, q4 = pulled(wp.inverse(first), g1, g2, g3, g4)
+        mean, n1, n2, n3, n4 = mixed(first, q1, q2, q3, q4, moved, m1, m2, m3, m4)
         lateral = contraction(p)
         weight = w.cell_volume[c] * R(0.125)
-        on_first = mat()
+        total = mat()
         t1 = vec()
         t2 = vec()
         t3 = vec()
         t4 = vec()
         for k in range(w.points.shape[1]):
             point = w.points[c, k]
-            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
-            rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
-            stress = viscous(first * whole, rate, p_viscous) * weight
-            on_first += stress * wp.transpose(whole)
-            u1, u2, u3, u4 = unbent(wp.transpose(first) * stress, point, half, lateral)
+            stress = viscous(green(mean, n1, n2, n3, n4, point, per, lateral), p_viscous)
+            total += stress
+            u1, u2, u3, u4 = unbent(stress, point, per, lateral)
             t1 += u1
             t2 += u2
             t3 += u3
             t4 += u4
-        leave(w, c, inverse, q1, q2, q3, q4, on_first, t1, t2, t3, t4, half)
+        back = first * weight
+        leave(w, c, back, q1, q2, q3, q4, back * total, t1, t2, t3, t4, per)
 
     @wp.func
     def squeezed(w: World, i: int):
@@ -317,6 +376,7 @@ def make_back_cells(kit):
     load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
     growing, flowing, branching, remembering = kit.growing, kit.flowing, kit.branching, kit.cells_remembering
     contraction, started = starts(kit)
+    mixed, green = rates(kit)
     matter = make_point(kit)
     pulled, bent, _unbent, moments, spread, places, speeds = cell_functions(kit)
 
@@ -328,8 +388,35 @@ def make_back_cells(kit):
         return wp.ddot(stress, d) + wp.dot(then, on_q)
 
     @wp.func
-    def viscous_dot(f: mat, rate: mat, p: pv, d: mat):
-        return wp.ddot(viscous(f, rate, p), d)
+    def viscous_dot(rate: mat, p: pv, d: mat):
+        return wp.ddot(viscous(rate, p), d)
+
+    @wp.func
+    def green_dot(mean: mat, n1: vec, n2: vec, n3: vec, n4: vec, point: vec, per: vec, lateral: R, on: mat):
+        whole = mean + bent(n1, n2, n3, n4, point, per, lateral)  # as in ``green``, which was met before (see ``backward`` on the order)
+        return wp.ddot((whole + wp.transpose(whole)) * R(0.5), on)
+
+    @wp.func
+    def mixed_dot(
+        first: mat,
+        g1: vec,
+        g2: vec,
+        g3: vec,
+        g4: vec,
+        m: mat,
+        m1: vec,
+        m2: vec,
+        m3: vec,
+        m4: vec,
+        on: mat,
+        on1: vec,
+        on2: vec,
+        on3: vec,
+        on4: vec,
+    ):
+        q1, q2, q3, q4 = pulled(wp.inverse(first), g1, g2, g3, g4)
+        mean, n1, n2, n3, n4 = mixed(first, q1, q2, q3, q4, m, m1, m2, m3, m4)
+        return wp.ddot(mean, on) + wp.dot(n1, on1) + wp.dot(n2, on2) + wp.dot(n3, on3) + wp.dot(n4, on4)
 
     @wp.func
     def lateral_of(p: ps):
@@ -353,7 +440,7 @@ def make_back_cells(kit):
         d3: vec,
         d4: vec,
         point: vec,
-        half: vec,
+        per: vec,
         lateral: R,
         on_f: mat,
         on_rate: mat,
@@ -361,23 +448,23 @@ def make_back_cells(kit):
     ):
         inverse = wp.inverse(first)
         q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
-        whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+        whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, per, lateral)
         n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
         e1, e2, e3, e4 = pulled(inverse, d1 - tried * q1, d2 - tried * q2, d3 - tried * q3, d4 - tried * q4)
-        rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
-        d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
+        rate = moved * whole + first * bent(n1, n2, n3, n4, point, per, lateral)
+        d = tried * whole + first * bent(e1, e2, e3, e4, point, per, lateral)
         return wp.ddot(first * whole, on_f) + wp.ddot(rate, on_rate) + wp.ddot(d, on_d)
 
     @wp.func
     def back_strain(w: World, a: Adjoint, slot: int, b: int, c: int, dt: R, p: ps):
         """Leave the adjoint of the elastic forces of cell ``c`` at its corners, and of what its material remembered before."""
         narrowing = wp.grad(lateral_of)(p)  # first: see ``backward`` on the order
-        half = w.half[b]
+        per = w.per[b]
         p_growth = load_growth(w.table, b)
         p_flow = load_flow(w.table, b)
         p_material = load_material(w.table, b)
         p_branch = load_branch(w.table, b)
-        first, g1, g2, g3, g4 = places(w, slot, c, half)
+        first, g1, g2, g3, g4 = places(w, slot, c, per)
         tried, d1, d2, d3, d4 = moments(
             a.force[slot % 2, w.cell[c, 0]],
             a.force[slot % 2, w.cell[c, 1]],
@@ -387,7 +474,7 @@ def make_back_cells(kit):
             a.force[slot % 2, w.cell[c, 5]],
             a.force[slot % 2, w.cell[c, 6]],
             a.force[slot % 2, w.cell[c, 7]],
-            half,
+            per,
         )
         inverse = wp.inverse(first)
         q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
@@ -420,16 +507,16 @@ def make_back_cells(kit):
         v3 = vec()
         v4 = vec()
         if wp.static(branching):
-            moved, m1, m2, m3, m4 = started(w, slot, c, half)
+            moved, m1, m2, m3, m4 = started(w, slot, c, per)
             n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
         for k in range(w.points.shape[1]):
             point = w.points[c, k]
-            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
+            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, per, lateral)
             f = first * whole
-            d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
+            d = tried * whole + first * bent(e1, e2, e3, e4, point, per, lateral)
             rate = mat()
             if wp.static(branching):
-                rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
+                rate = moved * whole + first * bent(n1, n2, n3, n4, point, per, lateral)
             q = pt()
             on_q = pt()
             if wp.static(remembering):
@@ -439,7 +526,7 @@ def make_back_cells(kit):
                 f, rate, w.cell_home[c, k], w.cell_at[c, k], q, dt, p, p_material, p_growth, p_flow, p_branch, d, on_q
             )
             of, h1, h2, h3, h4, om, u1, u2, u3, u4, _t, _d1, _d2, _d3, _d4, _pt, _h, hl, _f, _r, _d = wp.grad(kinematics_dot)(
-                first, g1, g2, g3, g4, moved, m1, m2, m3, m4, tried, d1, d2, d3, d4, point, half, lateral, hf, hr, stress
+                first, g1, g2, g3, g4, moved, m1, m2, m3, m4, tried, d1, d2, d3, d4, point, per, lateral, hf, hr, stress
             )
             if wp.static(remembering):
                 a.cell_memory[c, k] = hq * weight
@@ -461,9 +548,9 @@ def make_back_cells(kit):
             on_lateral += hl
             gp += hp
         for j in range(w.cell.shape[1]):
-            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, half) * weight
+            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, per) * weight
             if wp.static(branching):
-                a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, half) * weight
+                a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, per) * weight
         if a.wants_table > 0:
             give_solid(a.solid, c, (gp + narrowing * on_lateral) * weight)
             give_material(a.material, c, gp_material * weight)
@@ -478,9 +565,9 @@ def make_back_cells(kit):
     def back_drag(w: World, a: Adjoint, slot: int, r: int, b: int, c: int, share: R, p: ps, p_viscous: pv):
         """Leave the adjoint of round ``r``'s damping forces of cell ``c`` at its corners, of their x and of their v."""
         narrowing = wp.grad(lateral_of)(p)
-        half = w.half[b]
-        first, g1, g2, g3, g4 = places(w, slot, c, half)
-        moved, m1, m2, m3, m4 = speeds(w, slot, r, c, half)
+        per = w.per[b]
+        first, g1, g2, g3, g4 = places(w, slot, c, per)
+        moved, m1, m2, m3, m4 = speeds(w, slot, r, c, per)
         tried, d1, d2, d3, d4 = moments(
             a.eased[w.cell[c, 0]],
             a.eased[w.cell[c, 1]],
@@ -490,51 +577,58 @@ def make_back_cells(kit):
             a.eased[w.cell[c, 5]],
             a.eased[w.cell[c, 6]],
             a.eased[w.cell[c, 7]],
-            half,
+            per,
         )
-        inverse = wp.inverse(first)
-        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
-        n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
-        e1, e2, e3, e4 = pulled(inverse, d1 - tried * q1, d2 - tried * q2, d3 - tried * q3, d4 - tried * q4)
+        q1, q2, q3, q4 = pulled(wp.inverse(first), g1, g2, g3, g4)
+        mean, n1, n2, n3, n4 = mixed(first, q1, q2, q3, q4, moved, m1, m2, m3, m4)
+        wanted, e1, e2, e3, e4 = mixed(first, q1, q2, q3, q4, tried, d1, d2, d3, d4)
         lateral = contraction(p)
         weight = -w.cell_volume[c] * R(0.125) * share
-        on_first = mat()
-        b1 = vec()
-        b2 = vec()
-        b3 = vec()
-        b4 = vec()
-        on_moved = mat()
-        v1 = vec()
-        v2 = vec()
-        v3 = vec()
-        v4 = vec()
+        on_mean = mat()
+        t1 = vec()
+        t2 = vec()
+        t3 = vec()
+        t4 = vec()
+        on_wanted = mat()
+        u1 = vec()
+        u2 = vec()
+        u3 = vec()
+        u4 = vec()
         on_lateral = R(0.0)
         gp = pv()
         for k in range(w.points.shape[1]):
             point = w.points[c, k]
-            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, half, lateral)
-            f = first * whole
-            rate = moved * whole + first * bent(n1, n2, n3, n4, point, half, lateral)
-            d = tried * whole + first * bent(e1, e2, e3, e4, point, half, lateral)
-            hf, hr, hp, stress = wp.grad(viscous_dot)(f, rate, p_viscous, d)
-            of, h1, h2, h3, h4, om, u1, u2, u3, u4, _t, _d1, _d2, _d3, _d4, _pt, _h, hl, _f, _r, _d = wp.grad(kinematics_dot)(
-                first, g1, g2, g3, g4, moved, m1, m2, m3, m4, tried, d1, d2, d3, d4, point, half, lateral, hf, hr, stress
-            )
-            on_first += of
-            b1 += h1
-            b2 += h2
-            b3 += h3
-            b4 += h4
-            on_moved += om
-            v1 += u1
-            v2 += u2
-            v3 += u3
-            v4 += u4
-            on_lateral += hl
+            rate = green(mean, n1, n2, n3, n4, point, per, lateral)
+            d = green(wanted, e1, e2, e3, e4, point, per, lateral)
+            hr, hp, stress = wp.grad(viscous_dot)(rate, p_viscous, d)
+            om, h1, h2, h3, h4, _pt, _h, hl, _on = wp.grad(green_dot)(mean, n1, n2, n3, n4, point, per, lateral, hr)
+            ow, k1, k2, k3, k4, _kt, _k, kl, _ok = wp.grad(green_dot)(wanted, e1, e2, e3, e4, point, per, lateral, stress)
+            on_mean += om
+            t1 += h1
+            t2 += h2
+            t3 += h3
+            t4 += h4
+            on_wanted += ow
+            u1 += k1
+            u2 += k2
+            u3 += k3
+            u4 += k4
+            on_lateral += hl + kl
             gp += hp
+        on_first, b1, b2, b3, b4, on_moved, v1, v2, v3, v4, _o, _o1, _o2, _o3, _o4 = wp.grad(mixed_dot)(
+            first, g1, g2, g3, g4, moved, m1, m2, m3, m4, on_mean, t1, t2, t3, t4
+        )
+        of, f1, f2, f3, f4, _m, _m1, _m2, _m3, _m4, _w, _w1, _w2, _w3, _w4 = wp.grad(mixed_dot)(
+            first, g1, g2, g3, g4, tried, d1, d2, d3, d4, on_wanted, u1, u2, u3, u4
+        )
+        on_first += of
+        b1 += f1
+        b2 += f2
+        b3 += f3
+        b4 += f4
         for j in range(w.cell.shape[1]):
-            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, half) * weight
-            a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, half) * weight
+            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, per) * weight
+            a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, per) * weight
         if a.wants_table > 0:
             give_solid(a.solid, c, narrowing * (on_lateral * weight))
             give_viscous(a.viscous, c, gp * weight)
@@ -588,6 +682,6 @@ def assemble_cells(systems, starts, count: int, rounds) -> dict[str, np.ndarray]
         cell_home=np.concatenate([none, *(home for home, _at in sites)]),
         cell_at=np.concatenate([none, *(at for _home, at in sites)]),
         cell_volume=np.concatenate([g.volume for g in here]) if here else np.zeros(0),
-        half=np.stack([np.ones(3) if g is None else g.size / 2 for g in grids]),
+        per=np.stack([np.ones(3) if g is None else 2 / g.size for g in grids]),
         ease=shares,
     )

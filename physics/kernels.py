@@ -218,7 +218,7 @@ def _structs(R, vec, vectors):
         cell_home: wp.array2d(dtype=vec)  # (K, 8) m, where these points were in frame 0
         cell_at: wp.array2d(dtype=vec)  # (K, 8) the same from the body's middle, in the grid's axes and rms radii
         cell_memory: wp.array3d(dtype=pk)  # (slots, K, 8) what they remember at the start of the substep (only with flow or branch terms)
-        half: wp.array(dtype=vec)  # (B,) m, of a cell's size
+        per: wp.array(dtype=vec)  # (B,) 1/m, of half a cell's size
         rounds: wp.array(dtype=wp.int32)  # (B,) of damping in a substep
         ease: wp.array2d(dtype=R)  # (B, rounds) share of the substep that each takes
         squeeze: wp.array2d(dtype=vec)  # (K, 8) N, forces on the corners

@@ -151,8 +151,8 @@ def _plus_solid(before, law, offset):
 
 def _viscous(laws):
     @wp.func
-    def total(deformed: Any, rate: Any, p: Any):
-        return type(deformed)()
+    def total(rate: Any, p: Any):
+        return type(rate)()
 
     for term, offset in laws.stage("viscous"):
         total = _plus_viscous(total, term.law, offset)
@@ -161,8 +161,8 @@ def _viscous(laws):
 
 def _plus_viscous(before, law, offset):
     @wp.func
-    def total(deformed: Any, rate: Any, p: Any):
-        return before(deformed, rate, p) + law(deformed, rate, p, offset)
+    def total(rate: Any, p: Any):
+        return before(rate, p) + law(rate, p, offset)
 
     return total
 

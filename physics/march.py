@@ -94,7 +94,7 @@ class Carrier:
     def array(kernels, name, tensor):
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {"directors", "bent", "turned", "face", "faced", "points", "half", "squeeze", "eased", "cells", "cell_home", "cell_at"}
+        vectors |= {"directors", "bent", "turned", "face", "faced", "points", "per", "squeeze", "eased", "cells", "cell_home", "cell_at"}
         vectors |= {"point_home", "anchor", "push", "met_points"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
         dtype = wp.int32 if tensor.dtype == torch.int32 else kind

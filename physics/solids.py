@@ -21,7 +21,7 @@ import numpy as np
 
 from .grids import CORNERS, Grid
 
-__all__ = ["MODES", "internal_forces", "strain_modes"]
+__all__ = ["MODES", "damping_forces", "internal_forces", "strain_modes"]
 
 MODES = np.stack([np.delete(CORNERS, k, 1).prod(1) for k in range(3)] + [CORNERS.prod(1)], 1)  # (8, 4)
 
@@ -77,8 +77,32 @@ def internal_forces(grid: Grid, x, v, law: Callable, *, lateral: float) -> np.nd
     pulled = np.swapaxes(first, 1, 2)[:, None] @ stress
     on_q = np.einsum("kpij,kpmaij->kma", pulled, modes)
     on_g = np.einsum("kij,kmi->kmj", inverse, on_q)
-    on_first = (stress @ np.swapaxes(whole, 2, 3)).sum(1) - np.einsum("kmi,kmj->kij", on_g, q)
-    force = np.einsum("kij,aj->kai", on_first * (2 / size), CORNERS) / 8 + np.einsum("kmi,am->kai", on_g, MODES) / 8
-    total = np.zeros_like(x)
+    return _gathered(grid, (stress @ np.swapaxes(whole, 2, 3)).sum(1), on_g, q)
+
+
+def damping_forces(grid: Grid, x, v, law: Callable, *, lateral: float) -> np.ndarray:
+    """(N, 3) N, of the cells on the nodes at ``x`` moving with ``v`` (N, 3), in the grid's own axes.
+
+    ``law(rate)`` gives the second Piola-Kirchhoff stress S [Pa] of rates of the Green strain [1/s], linear and positive. In a cell that
+    rate is taken as D(v) = sym(F_0^T M_0 + A(F_0^T (m - M_0 q))), with M_0 and m as F_0 and g of the velocities: exact in a cell that is
+    strained evenly, and zero for rigid motions in any. Forces f are such that f . m = -sum_p w_p S_p : D_p(m) for every motion m: they take
+    energy, and neither momentum nor spin.
+    """
+    modes = strain_modes(grid.points, grid.size, lateral)
+    first, _, q, _ = gradients(x[grid.nodes], grid.size, modes)
+    moving = v[grid.nodes]
+    moved = np.einsum("kai,aj->kij", moving, CORNERS) / 8 * (2 / grid.size)
+    apart = np.einsum("kaj,am->kmj", moving, MODES) / 8 - np.einsum("kij,kmj->kmi", moved, q)
+    mixed = (np.swapaxes(first, 1, 2) @ moved)[:, None] + np.einsum("kpmaij,kba,kmb->kpij", modes, first, apart)
+    stress = law((mixed + np.swapaxes(mixed, 2, 3)) / 2) * (grid.volume / 8)[:, None, None, None]
+    on_g = np.einsum("kpij,kpmaij,kba->kmb", stress, modes, first)
+    return _gathered(grid, first @ stress.sum(1), on_g, q)
+
+
+def _gathered(grid, on_first, on_g, q):
+    """(N, 3) N, of what a cell's forces do per unit of F_0 + sum_m (g_m - F_0 q_m) q_m' and of g, of all cells on the nodes."""
+    on_first = on_first - np.einsum("kmi,kmj->kij", on_g, q)
+    force = np.einsum("kij,aj->kai", on_first * (2 / grid.size), CORNERS) / 8 + np.einsum("kmi,am->kai", on_g, MODES) / 8
+    total = np.zeros_like(grid.positions)
     np.add.at(total, grid.nodes, -force)
     return total

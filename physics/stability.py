@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from .cells import point_sites, reach
 from .facets import enclosed
 from .hinges import FOLD
 from .materials import point_twin
-from .solids import internal_forces
+from .solids import damping_forces, internal_forces
 from .system import System
 from .terms.base import CELLS
 
 __all__ = ["stable_rounds", "stable_step", "stable_substeps"]
 
 
-POWERS = 60  # iterations for a largest eigenvalue; what is still missing then is in the margin
-POWER_MARGIN = 1.1
+CLOSE = 0.02  # relative, to which a largest eigenvalue is found; what is missing then is in the margin
+MARGIN = 1.1
 INSTANT = 1e-9  # s, in which nothing relaxes
 MOST_ROUNDS = 20  # of damping: more would let rounding errors of float32 grow
 
@@ -41,7 +42,7 @@ def stable_step(system: System) -> float:
     larger by 1 / cos^2(a / 2), and that of twist is |kb| / (2 l). What a bent hinge's moment adds by turning (M times the second
     derivative of kappa) is not in it: it is none in the natural shape.
 
-    A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by power iteration, with all that
+    A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by Lanczos' method, with all that
     alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
@@ -94,31 +95,32 @@ def _fastest(system, free, stage):
     lateral = lame / max(lame + 2 * mu, 1e-30)
     home, at = point_sites(system)
     fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in terms), 3, 3))
-    motion = np.where(free[:, None], np.random.default_rng(0).normal(size=x.shape), 0.0)
-    root = np.sqrt(system.masses)[:, None]
+    root, step = np.sqrt(system.masses[free])[:, None], 1e-6 * system.grid.size.min()
 
     def law(deformed, rate):
-        if stage == "viscous":
-            return sum(t.twin(deformed, rate, **t.values) for t in terms)
         return point_twin(terms, deformed, rate, home, at, fresh, INSTANT)[0]
 
-    step, found = 1e-6 * system.grid.size.min(), 0.0
-    for _ in range(POWERS):
-        motion /= np.linalg.norm(motion)
-        way = motion / root
+    def viscous(rate):
+        return sum(t.twin(rate, **t.values) for t in terms)
+
+    def resisted(motion):
+        way = np.zeros_like(x)
+        way[free] = motion.reshape(-1, 3) / root
         if stage == "viscous":
-            force = internal_forces(system.grid, x, way, law, lateral=lateral)
+            force = damping_forces(system.grid, x, way, viscous, lateral=lateral)
         else:
-            small = step / np.abs(way).max()
+            small = step / max(np.abs(way).max(), 1e-300)
             ahead, behind = (
                 internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way)
             )
             force = (ahead - behind) / (2 * small)
-        motion = np.where(free[:, None], -force / root, 0.0)
-        found = float(np.linalg.norm(motion))
-        if not found:
-            break
-    return POWER_MARGIN * found
+        return -(force[free] / root).ravel()
+
+    start = np.random.default_rng(0).normal(size=3 * int(free.sum()))
+    if not len(start) or not resisted(start).any():
+        return 0.0
+    matrix = LinearOperator((len(start), len(start)), matvec=resisted, dtype=float)
+    return MARGIN * float(np.abs(eigsh(matrix, 1, which="LM", v0=start, tol=CLOSE, return_eigenvectors=False))[0])
 
 
 def stable_rounds(system: System, dt: float) -> int:

@@ -17,7 +17,7 @@ from twinbench.physics.catalogue import terms
 from twinbench.physics.cells import point_sites
 from twinbench.physics.grids import embed
 from twinbench.physics.materials import point_twin
-from twinbench.physics.solids import internal_forces
+from twinbench.physics.solids import damping_forces, internal_forces
 from twinbench.physics.stability import stable_step
 from twinbench.physics.system import System
 from twinbench.physics.terms import (
@@ -399,7 +399,7 @@ def test_the_engine_computes_what_the_twin_says():
         return stress
 
     v = one.velocities + dt * internal_forces(one.grid, one.positions, one.velocities, law, lateral=lateral) / one.masses[:, None]
-    damped = internal_forces(one.grid, one.positions, v, lambda f, r: damping.twin(f, r, **damping.values), lateral=lateral)
+    damped = damping_forces(one.grid, one.positions, v, lambda rate: damping.twin(rate, **damping.values), lateral=lateral)
     v = v + dt * damped / one.masses[:, None]
     np.testing.assert_allclose(v_found.numpy(), v, rtol=0, atol=1e-10 * np.abs(v).max())
     np.testing.assert_allclose(carried.cell_memory.numpy().reshape(q.shape), after[0], rtol=0, atol=1e-12)
@@ -459,8 +459,9 @@ def test_gradients_against_differences():
         own = getattr(start, name)
         for _ in range(2):
             way = torch.from_numpy(random.normal(size=tuple(own.shape))) * (own.abs() if name in ("table", "mass") else 1e-3)
-            ahead, behind = (float(loss(replace(start, **{name: own + s * 1e-5 * way}))) for s in (1, -1))
-            assert float((getattr(given, name).grad * way).sum()) == pytest.approx((ahead - behind) / 2e-5, rel=1e-4)
+            step = 1e-5 if name == "v" else 1e-6  # between the kinks of friction and yielding, and the rounding of what counts little
+            ahead, behind = (float(loss(replace(start, **{name: own + s * step * way}))) for s in (1, -1))
+            assert float((getattr(given, name).grad * way).sum()) == pytest.approx((ahead - behind) / (2 * step), rel=1e-4)
 
 
 @pytest.mark.parametrize("room", [1, 7])

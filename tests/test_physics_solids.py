@@ -15,7 +15,7 @@ from twinbench.physics.batch import Batch
 from twinbench.physics.cells import ease, reach
 from twinbench.physics.facets import solid_facets
 from twinbench.physics.grids import CORNERS, embed, filled, principal_axes
-from twinbench.physics.solids import gradients, internal_forces, strain_modes
+from twinbench.physics.solids import damping_forces, gradients, internal_forces, strain_modes
 from twinbench.physics.stability import stable_rounds, stable_step
 from twinbench.physics.system import System
 from twinbench.physics.terms import Gravity, KelvinVoigt, NeoHookean
@@ -167,15 +167,38 @@ def test_damping_takes_energy_and_no_momentum():
     grid, _ = bar()
     x, v = bent(grid), np.random.default_rng(4).normal(size=grid.positions.shape)
 
-    def damped(deformed, rate):
-        return KelvinVoigt.twin(deformed, rate, 100.0, 0.3)
+    def damped(rate):
+        return KelvinVoigt.twin(rate, 100.0, 0.3)
 
-    force = internal_forces(grid, x, v, damped, lateral=LATERAL)
+    force = damping_forces(grid, x, v, damped, lateral=LATERAL)
     assert (force * v).sum() < 0
     np.testing.assert_allclose(force.sum(0), 0, atol=1e-10)
     np.testing.assert_allclose(np.cross(x, force).sum(0), 0, atol=1e-10)
     rigid = np.cross([1.0, 2.0, 3.0], x) + 1  # of a rigid motion nothing: E' = 0
-    np.testing.assert_allclose(internal_forces(grid, x, rigid, damped, lateral=LATERAL), 0, atol=1e-10)
+    np.testing.assert_allclose(damping_forces(grid, x, rigid, damped, lateral=LATERAL), 0, atol=1e-10)
+
+
+def test_damping_is_that_of_the_materials_green_strain():
+    # x = F X, v = G X in every cell: P = F S(sym(F^T G)), so the work of any affine motion H is -V P : H (the law written out once more);
+    # near rest all motions are damped as the elasticity resists them: with S of Lame's constants in both, C v = K v to first order
+    grid, _ = bar(turn=about_z(20))
+    random, viscosity, poisson = np.random.default_rng(8), 50.0, 0.2
+    deformed, speed = np.eye(3) + random.normal(0, 0.2, (3, 3)), random.normal(size=(3, 3))
+    mu, lame = viscosity / 2 / (1 + poisson), viscosity * poisson / (1 + poisson) / (1 - 2 * poisson)
+    rate = (deformed.T @ speed + speed.T @ deformed) / 2
+    stress = deformed @ (2 * mu * rate + lame * np.trace(rate) * np.eye(3))
+
+    def damped(rate):
+        return KelvinVoigt.twin(rate, viscosity, poisson)
+
+    at = grid.positions
+    force = damping_forces(grid, at @ deformed.T, at @ speed.T, damped, lateral=LATERAL)
+    for motion in random.normal(size=(4, 3, 3)):
+        np.testing.assert_allclose((force * (at @ motion.T)).sum(), -(stress * motion).sum() * grid.volume.sum(), rtol=1e-10)
+    way, small = random.normal(size=at.shape), 1e-7
+    force = damping_forces(grid, at, way, damped, lateral=LATERAL)
+    elastic = internal_forces(grid, at + small * way, 0 * at, lambda f, _: NeoHookean.twin(f, viscosity, poisson), lateral=LATERAL) / small
+    np.testing.assert_allclose(force, elastic, atol=1e-4 * np.abs(force).max())  # one-sided difference: strains of 1e-7 / 5 mm
 
 
 def stiffness(grid, x, lateral=LATERAL, law=law):
@@ -279,10 +302,10 @@ def test_the_engine_computes_what_the_twin_says():
     one = solid(gravity=False, x=x, v=v, held=False)
     np.testing.assert_allclose(Batch([one], fps=1 / dt, substeps=1, double=True).march(0, 1)[2].numpy(), elastic, atol=1e-11)
 
-    def damped(deformed, rate):
-        return KelvinVoigt.twin(deformed, rate, 0.01 * YOUNG, 0.3)
+    def damped(rate):
+        return KelvinVoigt.twin(rate, 0.01 * YOUNG, 0.3)
 
-    both = elastic + dt * internal_forces(grid, x, elastic, damped, lateral=LATERAL) / masses
+    both = elastic + dt * damping_forces(grid, x, elastic, damped, lateral=LATERAL) / masses
     one = solid(gravity=False, x=x, v=v, held=False, damping=0.01)
     found = Batch([one], fps=1 / dt, substeps=1, rounds=1, double=True).march(0, 1)[2].numpy()
     np.testing.assert_allclose(found, both, atol=1e-10 * np.abs(both).max())

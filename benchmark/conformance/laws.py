@@ -91,9 +91,9 @@ def _kernel_of(term, stage):
         i = wp.tid()
         out[i] = after(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], p[i], wp.static(OFFSET))
 
-    def viscous(a: M, b: M, p: Ps, out: M):
+    def viscous(a: M, p: Ps, out: M):
         i = wp.tid()
-        out[i] = law(a[i], b[i], p[i], wp.static(OFFSET))
+        out[i] = law(a[i], p[i], wp.static(OFFSET))
 
     def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
         i = wp.tid()

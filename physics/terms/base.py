@@ -13,7 +13,7 @@ stage       law                                                      returns
 "solid"     (deformed, p, o)                                         first Piola-Kirchhoff stress of its elasticity [Pa]
 "material"  (deformed, home, mu, lame, p, o)                         more of it [Pa]
 "branch"    (stress, deformed, rate, home, mu, lame, q, p, o)        more of it that remembers q [Pa]
-"viscous"   (deformed, rate, p, o)                                   the same [Pa], linear in the deformation's rate
+"viscous"   (rate, p, o)                                             second Piola-Kirchhoff stress [Pa], linear in the Green strain's rate
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
 "surface"   (x, v, home, area, m, p, o)                          force on a point of the skin [N] that stands for an area [m^2]
 "touch"     (x, v, m, q, p, o)                                   force of the ground on a point of the skin [N] that remembers q (3,)
@@ -83,7 +83,7 @@ ARGUMENTS = {
     "solid": ("deformed",),
     "material": ("deformed", "home", "mu", "lame"),
     "branch": ("stress", "deformed", "rate", "home", "mu", "lame", "q"),
-    "viscous": ("deformed", "rate"),
+    "viscous": ("rate",),
     "body": ("x", "v", "home", "m"),
     "surface": ("x", "v", "home", "area", "m"),
     "touch": ("x", "v", "m", "q"),
