@@ -237,7 +237,7 @@ def make_cells(kit):
     load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
     branching, remembering = kit.branching, kit.cells_remembering
     altering = kit.growing or kit.adding or remembering
-    pulled, bent, unbent, _moments, spread, places, speeds = cell_functions(kit)
+    pulled, bent, unbent, _moments, _spread, places, speeds = cell_functions(kit)
     contraction, started = starts(kit)
     mixed, green = rates(kit)
     matter = make_point(kit)
