@@ -14,7 +14,7 @@ Warp emits the adjoint of a function only if a module meets it in ``wp.grad`` be
 
 import warp as wp
 
-from .cells import make_back_cells
+from .cells_back import make_back_cells
 from .finding import lowest
 from .forward import HELD_MASS, node_functions, recalling, sighting
 from .native import barrier

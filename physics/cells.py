@@ -1,4 +1,4 @@
-"""The cells of solids in the kernels: their forces on nodes, damping in rounds, and the adjoint of both. What they compute: ``solids``.
+"""The cells of solids in the kernels: their forces on nodes, damping in rounds. What they compute: ``solids``; adjoints: ``cells_back``.
 
 A motion m of the corners changes the deformation gradient F = F_0 (1 + A(q)), q = F_0^-1 g, by
 
@@ -12,10 +12,7 @@ Damping is asked for ten times a substep and more. It takes the Green strain's r
     E'(m) = sym(F_0^T M_0 + A(F_0^T (m - M_0 q))),
 
 which is exact in a cell that is strained evenly, and none in a rigid motion; f . m = -sum_p w_p S_p(E'_p(v)) : E'_p(m). Those forces are
-linear in the velocities, and stiffer than what they damp: f_v = -C(x) v with dt |C| / m far above 2. A substep takes them in rounds
-v <- v + (share_r dt / m) f_v at the same positions. Shares at the roots of Chebyshev's polynomial are stable far beyond single steps (super
-time stepping; Alexiades, Amiez and Gremaud 1996). Two equal passes make of their polynomial its square: a velocity that came out of damping
-with its sign turned would make the elastic force push outwards.
+linear in the velocities, and stiffer than what they damp: a substep takes them in rounds (``rounds``).
 """
 
 import numpy as np
@@ -24,35 +21,15 @@ import warp as wp
 from .grids import shape
 from .hinges import incidence
 from .materials import make_point
+from .rounds import ease
 
-__all__ = ["EASE", "assemble_cells", "ease", "make_back_cells", "make_cells", "point_sites", "reach"]
+__all__ = ["ALTERING", "assemble_cells", "cell_functions", "make_cells", "point_sites", "rates", "starts"]
 
 ALTERING = ("growth", "flow", "material", "branch")  # stages of what a solid does beside being elastic
-EASE = 0.01  # nu of Alexiades et al.: every mode shrinks by this in a round, so that errors in the largest eigenvalue are forgiven
-
-
-def _steps(rounds):
-    """(rounds,) steps of one pass, in units of the longest single one; long and short by turns, so that rounding errors stay small."""
-    k = np.arange(1, rounds + 1)
-    steps = 1 / ((EASE - 1) * np.cos((2 * k - 1) / rounds * np.pi / 2) + 1 + EASE)
-    return steps[np.argsort(np.minimum(k, rounds + 1 - k) * 2 + (k * 2 > rounds), kind="stable")]
-
-
-def ease(rounds: int) -> np.ndarray:
-    """(rounds,) shares of a substep, which sum to 1: one, or an even number."""
-    if rounds == 1:
-        return np.ones(1)
-    half = _steps(rounds // 2)
-    return np.tile(half / half.sum(), 2) / 2
-
-
-def reach(rounds: int) -> float:
-    """How many times the longest single step, 2 / rate, a substep of so many rounds may be."""
-    return 0.5 if rounds == 1 else float(2 * _steps(rounds // 2).sum())
 
 
 def cell_functions(kit):
-    """(pulled, bent, unbent, moments, spread, places, speeds): what both ways share."""
+    """(pulled, bent, unbent, moments, corners, places, speeds): what both ways share."""
     R, vec, mat, World, get_x = kit.R, kit.vec, kit.mat, kit.World, kit.get_x
 
     @wp.func
@@ -99,11 +76,6 @@ def cell_functions(kit):
         return q1, q2, q3, vec(d1 * y * z, d2 * z * x, d3 * x * y)
 
     @wp.func
-    def sign(a: int, j: int):
-        """The sign of corner ``a`` along axis ``j``: corners count in binary, the last axis fastest."""
-        return R((a >> (2 - j)) % 2 * 2 - 1)
-
-    @wp.func
     def moments(x0: vec, x1: vec, x2: vec, x3: vec, x4: vec, x5: vec, x6: vec, x7: vec, per: vec):
         """(F_0, g_1 to g_4) of corners."""
         e = R(0.125)
@@ -133,13 +105,25 @@ def cell_functions(kit):
         return mat(s1[0], s2[0], s3[0], s1[1], s2[1], s3[1], s1[2], s2[2], s3[2]), g1, g2, g3, g4
 
     @wp.func
-    def spread(a: int, first: mat, g1: vec, g2: vec, g3: vec, g4: vec, per: vec):
-        """What corner ``a`` gets of adjoints of F_0 and g: the transpose of ``moments``."""
-        s = sign(a, 0)
-        t = sign(a, 1)
-        u = sign(a, 2)
-        along = first * vec(s * per[0], t * per[1], u * per[2])
-        return (along + g1 * (t * u) + g2 * (u * s) + g3 * (s * t) + g4 * (s * t * u)) * R(0.125)
+    def corners(first: mat, g1: vec, g2: vec, g3: vec, g4: vec, per: vec):
+        """What each corner gets of adjoints of F_0 and g: the transpose of ``moments``."""
+        e = R(0.125)
+        s1 = first * vec(e * per[0], R(0.0), R(0.0))
+        s2 = first * vec(R(0.0), e * per[1], R(0.0))
+        s3 = first * vec(R(0.0), R(0.0), e * per[2])
+        k1 = g1 * e
+        k2 = g2 * e
+        k3 = g3 * e
+        k4 = g4 * e
+        even0 = k1 - s2 - s3  # along the first axis, of corners 0 and 4, 1 and 5, 2 and 6, 3 and 7
+        even1 = s3 - s2 - k1
+        even2 = s2 - s3 - k1
+        even3 = s2 + s3 + k1
+        odd0 = s1 - k2 - k3 + k4
+        odd1 = s1 + k2 - k3 - k4
+        odd2 = s1 - k2 + k3 - k4
+        odd3 = s1 + k2 + k3 + k4
+        return even0 - odd0, even1 - odd1, even2 - odd2, even3 - odd3, even0 + odd0, even1 + odd1, even2 + odd2, even3 + odd3
 
     @wp.func
     def places(w: World, slot: int, c: int, per: vec):
@@ -174,7 +158,7 @@ def cell_functions(kit):
         )
         return m, m1, m2, m3, m4
 
-    return pulled, bent, unbent, moments, spread, places, speeds
+    return pulled, bent, unbent, moments, corners, places, speeds
 
 
 def starts(kit):
@@ -237,7 +221,7 @@ def make_cells(kit):
     load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
     branching, remembering = kit.branching, kit.cells_remembering
     altering = kit.growing or kit.adding or remembering
-    pulled, bent, unbent, _moments, _spread, places, speeds = cell_functions(kit)
+    pulled, bent, unbent, _moments, corners, places, speeds = cell_functions(kit)
     contraction, started = starts(kit)
     mixed, green = rates(kit)
     matter = make_point(kit)
@@ -250,30 +234,15 @@ def make_cells(kit):
         g3 = back * t3
         g4 = back * t4
         whole = first - wp.outer(g1, q1) - wp.outer(g2, q2) - wp.outer(g3, q3) - wp.outer(g4, q4)
-        e = R(-0.125)
-        s1 = whole * vec(e * per[0], R(0.0), R(0.0))
-        s2 = whole * vec(R(0.0), e * per[1], R(0.0))
-        s3 = whole * vec(R(0.0), R(0.0), e * per[2])
-        twist = g1 * e  # ``spread`` over all corners: what is even along the first axis, and what is odd
-        u = g2 * e
-        t = g3 * e
-        tu = g4 * e
-        even = twist - s2 - s3
-        odd = s1 - u - t + tu
-        w.squeeze[c, 0] = even - odd
-        w.squeeze[c, 4] = even + odd
-        even = s3 - s2 - twist
-        odd = s1 + u - t - tu
-        w.squeeze[c, 1] = even - odd
-        w.squeeze[c, 5] = even + odd
-        even = s2 - s3 - twist
-        odd = s1 - u + t - tu
-        w.squeeze[c, 2] = even - odd
-        w.squeeze[c, 6] = even + odd
-        even = s2 + s3 + twist
-        odd = s1 + u + t + tu
-        w.squeeze[c, 3] = even - odd
-        w.squeeze[c, 7] = even + odd
+        c0, c1, c2, c3, c4, c5, c6, c7 = corners(-whole, -g1, -g2, -g3, -g4, per)
+        w.squeeze[c, 0] = c0
+        w.squeeze[c, 1] = c1
+        w.squeeze[c, 2] = c2
+        w.squeeze[c, 3] = c3
+        w.squeeze[c, 4] = c4
+        w.squeeze[c, 5] = c5
+        w.squeeze[c, 6] = c6
+        w.squeeze[c, 7] = c7
 
     @wp.func
     def strain(w: World, slot: int, after: int, b: int, c: int, dt: R, p: ps):
@@ -363,285 +332,6 @@ def make_cells(kit):
         return force
 
     return strain, drag, squeezed
-
-
-def make_back_cells(kit):
-    """(back_strain, back_drag, resqueezed): the adjoints of a cell's elastic and damping forces, and what a node gets of them."""
-    R, vec, mat, World, Adjoint = kit.R, kit.vec, kit.mat, kit.World, kit.Adjoint
-    ps, pv, pt = kit.vectors["solid"], kit.vectors["viscous"], kit.vectors["cell_memory"]
-    pg, pf, pm, pb = (kit.vectors[s] for s in ALTERING)
-    viscous = kit.laws.viscous
-    give_solid, give_viscous = kit.give_all["solid"], kit.give_all["viscous"]
-    give_growth, give_flow, give_material, give_branch = (kit.give_all[s] for s in ALTERING)
-    load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
-    growing, flowing, branching, remembering = kit.growing, kit.flowing, kit.branching, kit.cells_remembering
-    contraction, started = starts(kit)
-    mixed, green = rates(kit)
-    matter = make_point(kit)
-    pulled, bent, _unbent, moments, spread, places, speeds = cell_functions(kit)
-
-    @wp.func
-    def matter_dot(
-        f: mat, rate: mat, home: vec, at: vec, q: pt, dt: R, p: ps, p_material: pm, p_growth: pg, p_flow: pf, p_branch: pb, d: mat, on_q: pt
-    ):
-        stress, then = matter(f, rate, home, at, q, dt, p, p_material, p_growth, p_flow, p_branch)
-        return wp.ddot(stress, d) + wp.dot(then, on_q)
-
-    @wp.func
-    def viscous_dot(rate: mat, p: pv, d: mat):
-        return wp.ddot(viscous(rate, p), d)
-
-    @wp.func
-    def green_dot(mean: mat, n1: vec, n2: vec, n3: vec, n4: vec, point: vec, per: vec, lateral: R, on: mat):
-        whole = mean + bent(n1, n2, n3, n4, point, per, lateral)  # as in ``green``, which was met before (see ``backward`` on the order)
-        return wp.ddot((whole + wp.transpose(whole)) * R(0.5), on)
-
-    @wp.func
-    def mixed_dot(
-        first: mat,
-        g1: vec,
-        g2: vec,
-        g3: vec,
-        g4: vec,
-        m: mat,
-        m1: vec,
-        m2: vec,
-        m3: vec,
-        m4: vec,
-        on: mat,
-        on1: vec,
-        on2: vec,
-        on3: vec,
-        on4: vec,
-    ):
-        q1, q2, q3, q4 = pulled(wp.inverse(first), g1, g2, g3, g4)
-        mean, n1, n2, n3, n4 = mixed(first, q1, q2, q3, q4, m, m1, m2, m3, m4)
-        return wp.ddot(mean, on) + wp.dot(n1, on1) + wp.dot(n2, on2) + wp.dot(n3, on3) + wp.dot(n4, on4)
-
-    @wp.func
-    def lateral_of(p: ps):
-        return contraction(p)
-
-    @wp.func
-    def kinematics_dot(
-        first: mat,
-        g1: vec,
-        g2: vec,
-        g3: vec,
-        g4: vec,
-        moved: mat,
-        m1: vec,
-        m2: vec,
-        m3: vec,
-        m4: vec,
-        tried: mat,
-        d1: vec,
-        d2: vec,
-        d3: vec,
-        d4: vec,
-        point: vec,
-        per: vec,
-        lateral: R,
-        on_f: mat,
-        on_rate: mat,
-        on_d: mat,
-    ):
-        inverse = wp.inverse(first)
-        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
-        whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, per, lateral)
-        n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
-        e1, e2, e3, e4 = pulled(inverse, d1 - tried * q1, d2 - tried * q2, d3 - tried * q3, d4 - tried * q4)
-        rate = moved * whole + first * bent(n1, n2, n3, n4, point, per, lateral)
-        d = tried * whole + first * bent(e1, e2, e3, e4, point, per, lateral)
-        return wp.ddot(first * whole, on_f) + wp.ddot(rate, on_rate) + wp.ddot(d, on_d)
-
-    @wp.func
-    def back_strain(w: World, a: Adjoint, slot: int, b: int, c: int, dt: R, p: ps):
-        """Leave the adjoint of the elastic forces of cell ``c`` at its corners, and of what its material remembered before."""
-        narrowing = wp.grad(lateral_of)(p)  # first: see ``backward`` on the order
-        per = w.per[b]
-        p_growth = load_growth(w.table, b)
-        p_flow = load_flow(w.table, b)
-        p_material = load_material(w.table, b)
-        p_branch = load_branch(w.table, b)
-        first, g1, g2, g3, g4 = places(w, slot, c, per)
-        tried, d1, d2, d3, d4 = moments(
-            a.force[slot % 2, w.cell[c, 0]],
-            a.force[slot % 2, w.cell[c, 1]],
-            a.force[slot % 2, w.cell[c, 2]],
-            a.force[slot % 2, w.cell[c, 3]],
-            a.force[slot % 2, w.cell[c, 4]],
-            a.force[slot % 2, w.cell[c, 5]],
-            a.force[slot % 2, w.cell[c, 6]],
-            a.force[slot % 2, w.cell[c, 7]],
-            per,
-        )
-        inverse = wp.inverse(first)
-        q1, q2, q3, q4 = pulled(inverse, g1, g2, g3, g4)
-        e1, e2, e3, e4 = pulled(inverse, d1 - tried * q1, d2 - tried * q2, d3 - tried * q3, d4 - tried * q4)
-        lateral = contraction(p)
-        weight = -w.cell_volume[c] * R(0.125)
-        on_first = mat()
-        b1 = vec()
-        b2 = vec()
-        b3 = vec()
-        b4 = vec()
-        on_lateral = R(0.0)
-        gp = ps()
-        gp_growth = pg()
-        gp_flow = pf()
-        gp_material = pm()
-        gp_branch = pb()
-        moved = mat()
-        m1 = vec()
-        m2 = vec()
-        m3 = vec()
-        m4 = vec()
-        n1 = vec()
-        n2 = vec()
-        n3 = vec()
-        n4 = vec()
-        on_moved = mat()
-        v1 = vec()
-        v2 = vec()
-        v3 = vec()
-        v4 = vec()
-        if wp.static(branching):
-            moved, m1, m2, m3, m4 = started(w, slot, c, per)
-            n1, n2, n3, n4 = pulled(inverse, m1 - moved * q1, m2 - moved * q2, m3 - moved * q3, m4 - moved * q4)
-        for k in range(w.points.shape[1]):
-            point = w.points[c, k]
-            whole = wp.identity(n=3, dtype=R) + bent(q1, q2, q3, q4, point, per, lateral)
-            f = first * whole
-            d = tried * whole + first * bent(e1, e2, e3, e4, point, per, lateral)
-            rate = mat()
-            if wp.static(branching):
-                rate = moved * whole + first * bent(n1, n2, n3, n4, point, per, lateral)
-            q = pt()
-            on_q = pt()
-            if wp.static(remembering):
-                q = w.cell_memory[slot, c, k]
-                on_q = a.cell_memory[c, k] / weight  # the memory is that of a point, the stress counts by its volume
-            hf, hr, _home, _at, hq, _dt, hp, hm, hg, hw, hb, stress, _q = wp.grad(matter_dot)(
-                f, rate, w.cell_home[c, k], w.cell_at[c, k], q, dt, p, p_material, p_growth, p_flow, p_branch, d, on_q
-            )
-            of, h1, h2, h3, h4, om, u1, u2, u3, u4, _t, _d1, _d2, _d3, _d4, _pt, _h, hl, _f, _r, _d = wp.grad(kinematics_dot)(
-                first, g1, g2, g3, g4, moved, m1, m2, m3, m4, tried, d1, d2, d3, d4, point, per, lateral, hf, hr, stress
-            )
-            if wp.static(remembering):
-                a.cell_memory[c, k] = hq * weight
-            if wp.static(branching):
-                on_moved += om
-                v1 += u1
-                v2 += u2
-                v3 += u3
-                v4 += u4
-            gp_growth += hg
-            gp_flow += hw
-            gp_material += hm
-            gp_branch += hb
-            on_first += of
-            b1 += h1
-            b2 += h2
-            b3 += h3
-            b4 += h4
-            on_lateral += hl
-            gp += hp
-        for j in range(w.cell.shape[1]):
-            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, per) * weight
-            if wp.static(branching):
-                a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, per) * weight
-        if a.wants_table > 0:
-            give_solid(a.solid, c, (gp + narrowing * on_lateral) * weight)
-            give_material(a.material, c, gp_material * weight)
-            if wp.static(growing):
-                give_growth(a.growth, c, gp_growth * weight)
-            if wp.static(flowing):
-                give_flow(a.flow, c, gp_flow * weight)
-            if wp.static(branching):
-                give_branch(a.branch, c, gp_branch * weight)
-
-    @wp.func
-    def back_drag(w: World, a: Adjoint, slot: int, r: int, b: int, c: int, share: R, p: ps, p_viscous: pv):
-        """Leave the adjoint of round ``r``'s damping forces of cell ``c`` at its corners, of their x and of their v."""
-        narrowing = wp.grad(lateral_of)(p)
-        per = w.per[b]
-        first, g1, g2, g3, g4 = places(w, slot, c, per)
-        moved, m1, m2, m3, m4 = speeds(w, slot, r, c, per)
-        tried, d1, d2, d3, d4 = moments(
-            a.eased[w.cell[c, 0]],
-            a.eased[w.cell[c, 1]],
-            a.eased[w.cell[c, 2]],
-            a.eased[w.cell[c, 3]],
-            a.eased[w.cell[c, 4]],
-            a.eased[w.cell[c, 5]],
-            a.eased[w.cell[c, 6]],
-            a.eased[w.cell[c, 7]],
-            per,
-        )
-        q1, q2, q3, q4 = pulled(wp.inverse(first), g1, g2, g3, g4)
-        mean, n1, n2, n3, n4 = mixed(first, q1, q2, q3, q4, moved, m1, m2, m3, m4)
-        wanted, e1, e2, e3, e4 = mixed(first, q1, q2, q3, q4, tried, d1, d2, d3, d4)
-        lateral = contraction(p)
-        weight = -w.cell_volume[c] * R(0.125) * share
-        on_mean = mat()
-        t1 = vec()
-        t2 = vec()
-        t3 = vec()
-        t4 = vec()
-        on_wanted = mat()
-        u1 = vec()
-        u2 = vec()
-        u3 = vec()
-        u4 = vec()
-        on_lateral = R(0.0)
-        gp = pv()
-        for k in range(w.points.shape[1]):
-            point = w.points[c, k]
-            rate = green(mean, n1, n2, n3, n4, point, per, lateral)
-            d = green(wanted, e1, e2, e3, e4, point, per, lateral)
-            hr, hp, stress = wp.grad(viscous_dot)(rate, p_viscous, d)
-            om, h1, h2, h3, h4, _pt, _h, hl, _on = wp.grad(green_dot)(mean, n1, n2, n3, n4, point, per, lateral, hr)
-            ow, k1, k2, k3, k4, _kt, _k, kl, _ok = wp.grad(green_dot)(wanted, e1, e2, e3, e4, point, per, lateral, stress)
-            on_mean += om
-            t1 += h1
-            t2 += h2
-            t3 += h3
-            t4 += h4
-            on_wanted += ow
-            u1 += k1
-            u2 += k2
-            u3 += k3
-            u4 += k4
-            on_lateral += hl + kl
-            gp += hp
-        on_first, b1, b2, b3, b4, on_moved, v1, v2, v3, v4, _o, _o1, _o2, _o3, _o4 = wp.grad(mixed_dot)(
-            first, g1, g2, g3, g4, moved, m1, m2, m3, m4, on_mean, t1, t2, t3, t4
-        )
-        of, f1, f2, f3, f4, _m, _m1, _m2, _m3, _m4, _w, _w1, _w2, _w3, _w4 = wp.grad(mixed_dot)(
-            first, g1, g2, g3, g4, tried, d1, d2, d3, d4, on_wanted, u1, u2, u3, u4
-        )
-        on_first += of
-        b1 += f1
-        b2 += f2
-        b3 += f3
-        b4 += f4
-        for j in range(w.cell.shape[1]):
-            a.cells[c, j] = spread(j, on_first, b1, b2, b3, b4, per) * weight
-            a.cells[c, j + 8] = spread(j, on_moved, v1, v2, v3, v4, per) * weight
-        if a.wants_table > 0:
-            give_solid(a.solid, c, narrowing * (on_lateral * weight))
-            give_viscous(a.viscous, c, gp * weight)
-
-    @wp.func
-    def resqueezed(w: World, a: Adjoint, i: int, first: int):
-        """Adjoint of node ``i``'s position (``first`` 0) or velocity (8) by the cells around it."""
-        g = vec()
-        for e in range(w.cell_row[i], w.cell_row[i + 1]):
-            g += a.cells[w.cell_of[e] // 8, w.cell_of[e] % 8 + first]
-        return g
-
-    return back_strain, back_drag, resqueezed
 
 
 def point_sites(system) -> tuple[np.ndarray, np.ndarray]:

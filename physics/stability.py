@@ -7,10 +7,11 @@ import math
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-from .cells import point_sites, reach
+from .cells import point_sites
 from .facets import enclosed
 from .hinges import FOLD
 from .materials import point_twin
+from .rounds import reach
 from .solids import damping_forces, internal_forces
 from .system import System
 from .terms.base import CELLS
@@ -124,7 +125,7 @@ def _fastest(system, free, stage):
 
 
 def stable_rounds(system: System, dt: float) -> int:
-    """In how many rounds a substep of ``dt`` seconds can take the damping of a solid (``physics.cells``): 1 where it has none.
+    """In how many rounds a substep of ``dt`` seconds can take the damping of a solid (``physics.rounds``): 1 where it has none.
 
     Raises ValueError where that is more than ``MOST_ROUNDS``.
     """

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.optimize import curve_fit
 from scipy.sparse.linalg import spsolve
 from twinbench.physics.batch import Batch
-from twinbench.physics.cells import ease, reach
 from twinbench.physics.facets import solid_facets
 from twinbench.physics.grids import CORNERS, embed, filled, principal_axes
+from twinbench.physics.rounds import ease, reach
 from twinbench.physics.solids import damping_forces, gradients, internal_forces, strain_modes
 from twinbench.physics.stability import stable_rounds, stable_step
 from twinbench.physics.system import System

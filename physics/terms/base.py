@@ -46,7 +46,7 @@ deformed = F G^-1, and the stress is pulled back, P = det(G) P(F G^-1) G^-T. ``h
 same from the body's middle, in the grid's axes and rms radii. A branch term declares ``evolve`` (stress, deformed, rate, home, mu, lame, q,
 dt, p, o), its memory after the substep, a matrix (3, 3) at each material point, 0 in frame 0; its law sees q as it is then; ``stress`` [Pa]
 is that of the elasticity. See ``physics.materials``. Viscous stresses act on velocities after the "velocity" stage, in rounds. See
-``physics.cells``.
+``physics.rounds``.
 
 Where a system has material points (``physics.points``), body forces act on them instead of on nodes, and only then are there the stages
 "surface", "touch" and "grip"; m [kg] is what a point carries of its body, for springs that must hold it. A touch term declares ``evolve``

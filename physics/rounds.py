@@ -1,0 +1,32 @@
+"""Damping that is stiffer than a substep is long, in rounds.
+
+f_v = -C v with dt |C| / m far above 2 is taken as v <- v + (share_r dt / m) f_v at the same positions. Shares at the roots of Chebyshev's
+polynomial are stable far beyond single steps (super time stepping; Alexiades, Amiez and Gremaud 1996). Two equal passes make of their
+polynomial its square: a velocity that came out of damping with its sign turned would make the elastic force push outwards.
+"""
+
+import numpy as np
+
+__all__ = ["EASE", "ease", "reach"]
+
+EASE = 0.01  # nu of Alexiades et al.: every mode shrinks by this in a round, so that errors in the largest eigenvalue are forgiven
+
+
+def _steps(rounds):
+    """(rounds,) steps of one pass, in units of the longest single one; long and short by turns, so that rounding errors stay small."""
+    k = np.arange(1, rounds + 1)
+    steps = 1 / ((EASE - 1) * np.cos((2 * k - 1) / rounds * np.pi / 2) + 1 + EASE)
+    return steps[np.argsort(np.minimum(k, rounds + 1 - k) * 2 + (k * 2 > rounds), kind="stable")]
+
+
+def ease(rounds: int) -> np.ndarray:
+    """(rounds,) shares of a substep, which sum to 1: one, or an even number."""
+    if rounds == 1:
+        return np.ones(1)
+    half = _steps(rounds // 2)
+    return np.tile(half / half.sum(), 2) / 2
+
+
+def reach(rounds: int) -> float:
+    """How many times the longest single step, 2 / rate, a substep of so many rounds may be."""
+    return 0.5 if rounds == 1 else float(2 * _steps(rounds // 2).sum())
