@@ -66,7 +66,7 @@ class ContinuumTwin(Twin):
         The rest shape is moved rigidly to where the target's points lie; where they are shaped otherwise it is taken from them instead.
         Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance.
         """
-        scene, target = self.scene, _initial(target)
+        scene, target = self.scene, target.until(1)
         outer = sum(scene.counts[:2])
         cloud = target.structure[: sum(target.counts[:2])]
         laid = align(scene.structure, cloud, surface=outer)
@@ -134,12 +134,6 @@ def posterior_of(estimate) -> dict:
         at_bounds=list(found.at_bounds),
         unconstrained=list(found.unconstrained),
     )
-
-
-def _initial(recording: Observed) -> Observed:
-    """``recording`` with nothing observed after frame 0."""
-    first = {name: getattr(recording, name)[:1] for name in ("points", "visible", "motion_valid")}
-    return replace(recording, **first, colors=None if recording.colors is None else recording.colors[:1])
 
 
 def _nearest(points, cloud):

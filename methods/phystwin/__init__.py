@@ -146,6 +146,4 @@ def _first_frames(observed, frames):
     """The recording's first ``frames`` observed frames."""
     if frames is None or frames >= observed.observed_frames:
         return observed
-    cut = {n: getattr(observed, n)[:frames] for n in ("points", "visible", "motion_valid")}
-    colors = None if observed.colors is None else observed.colors[:frames]
-    return replace(observed, **cut, colors=colors, controllers=observed.controllers[:frames])
+    return replace(observed.until(frames), controllers=observed.controllers[:frames])
