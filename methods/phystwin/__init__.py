@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..base import Method
+from ..base import Method, spread_evenly
 from .config import AS_PUBLISHED, CORRECTED, Config
 
 __all__ = ["METHODS", "PhysTwin", "PhysTwinAsPublished", "PhysTwinFirst", "PhysTwinZero"]
@@ -57,8 +57,7 @@ class PhysTwin(Method):
 
     def recordings(self, observed, config: Config) -> list:
         """What of ``observed`` is fitted: so many recordings and frames of each. Raises ValueError where they show different bodies."""
-        chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
-        used = [observed[k] for k in chosen]
+        used = spread_evenly(observed, config.recordings)
         if reason := _mismatch(used):
             raise ValueError(reason)
         return [_first_frames(o, config.frames) for o in used]
