@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +12,7 @@ from ...datasets.scenario import Observed, Plane
 from ...physics import terms
 from ...physics.grids import Grid
 from ...physics.terms.base import Term
+from .. import saving
 from ..base import Diverged, Trajectory, Twin
 from ..registration import align, rigid_transform
 from .body import body_of
@@ -88,8 +88,6 @@ class ContinuumTwin(Twin):
         return replace(self, scene=there, values=values)
 
     def save(self, folder: Path) -> None:
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         scene, grid = self.scene, self.scene.grid
         arrays = {f"grid_{f.name}": getattr(grid, f.name) for f in fields(Grid)}
         arrays |= {name: getattr(scene, name) for name in ("surface", "structure", "controllers", "grips", "gravity")}
@@ -101,15 +99,11 @@ class ContinuumTwin(Twin):
         state |= dict(
             values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior, device=self.device
         )
-        np.savez_compressed(folder / "twin.npz", **arrays)
-        (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
+        saving.write(folder, arrays, state)
 
     @classmethod
     def load(cls, folder: Path) -> ContinuumTwin:
-        folder = Path(folder)
-        state = json.loads((folder / "twin.json").read_text(encoding="utf-8"))
-        with np.load(folder / "twin.npz", allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays, state = saving.read(folder)
         grid = Grid(**{f.name: arrays[f"grid_{f.name}"] for f in fields(Grid)})
         hands = []
         for k, (turns, notes) in enumerate(zip(state["turns"], state["hand_notes"], strict=True)):
