@@ -166,6 +166,16 @@ class Observed:
             return 0.0
         return float(np.median(cKDTree(structure).query(structure, k=2)[0][:, 1]))
 
+    def until(self, frames: int) -> Observed:
+        """The same with the observations of its first ``frames`` frames alone."""
+        seen = {f.name: getattr(self, f.name) for f in fields(Observed)}
+        for name in ("points", "visible", "motion_valid", "colors"):
+            if seen[name] is not None:
+                seen[name] = seen[name][:frames].copy()
+        if self.images is not None:
+            seen["images"] = self.images.until(frames)
+        return Observed(**seen)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Observed):
@@ -190,13 +200,7 @@ class Scenario(Observed):
         frames = self.split.train_end if frames is None else frames
         if not 1 <= frames <= self.split.train_end:
             raise ValueError(f"frames must lie in [1, {self.split.train_end}], got {frames} (scenario {self.name})")
-        seen = {f.name: getattr(self, f.name) for f in fields(Observed)}
-        for name in ("points", "visible", "motion_valid", "colors"):
-            if seen[name] is not None:
-                seen[name] = seen[name][:frames].copy()
-        if self.images is not None:
-            seen["images"] = self.images.until(frames)
-        return Observed(**seen)
+        return self.until(frames)
 
     def initial(self) -> Observed:
         """Frame 0 and the controllers: what a twin fitted elsewhere gets to know of a transfer target."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .hands import fists
+from ..methods.continuum.hands import labels_of
 from .replica import Replica
 
 __all__ = ["TURNS", "Balance", "balance"]
@@ -153,8 +153,8 @@ def _hands(replica) -> list[np.ndarray]:
     controllers = np.asarray(recording.controllers, float)
     if not controllers.shape[1]:
         return []
-    fist = fists(controllers[0])
-    return [controllers[:, fist == label].mean(axis=1) for label in np.unique(fist)]
+    hand = labels_of(controllers[:1])
+    return [controllers[:, hand == label].mean(axis=1) for label in np.unique(hand)]
 
 
 def _filled(position, nodes) -> np.ndarray:

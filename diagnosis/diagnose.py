@@ -206,7 +206,7 @@ def _where(inquiry, chosen, change):
 
 def _worst_grip(replica, change):
     """Nodes held by the hand around which the ``change`` (F, n) by the extension is largest."""
-    from .hands import fists
+    from ..methods.continuum.hands import labels_of
 
     ties = replica.system.springs[replica.links]
     if not len(ties):
@@ -214,7 +214,7 @@ def _worst_grip(replica, change):
     count = len(replica.nodes)
     hand = np.where(ties[:, 0] >= count, ties[:, 0], ties[:, 1]) - count
     node = np.where(ties[:, 0] >= count, ties[:, 1], ties[:, 0])
-    label = fists(replica.recording.controllers[0])
+    label = labels_of(replica.recording.controllers[:1])
     change = np.nanmean(change, axis=0)
     groups = [np.unique(node[label[hand] == one]) for one in np.unique(label[hand])]
     return max(groups, key=lambda g: float(np.nanmean(change[g])))

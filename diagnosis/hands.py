@@ -8,13 +8,13 @@ from itertools import pairwise
 import numpy as np
 
 from ..datasets.scenario import Observed
+from ..methods.continuum.hands import labels_of
 from ..methods.registration import rigid_transform
 from ..physics.topology import controller_springs
 from .sightings import where_unseen
 
-__all__ = ["Held", "fists", "hand_ties", "held_points", "rope_exits"]
+__all__ = ["Held", "hand_ties", "held_points", "rope_exits"]
 
-FIST = 0.05  # m, between points of one hand
 GRIP_REACH = 1.6  # how far a hand point holds nodes, in node spacings
 GRIP_MOST = 4
 CARRIED = 0.25  # share of its way by which what a hand carries may stay behind
@@ -41,13 +41,6 @@ class Held:
     told: float
 
 
-def fists(points):
-    """(C,) which hand each of ``points`` (C, 3) belongs to: points of one are within FIST of one another, link by link."""
-    from scipy.cluster.hierarchy import fcluster, linkage
-
-    return fcluster(linkage(points), FIST, "distance") if len(points) > 1 else np.ones(len(points), int)
-
-
 def carried(hand, now, points):
     """(K, n, 3) m, where ``points`` (n, 3) beside a ``hand`` (C, 3) would be were they carried to where it is ``now`` (K, C, 3)."""
     moves = [rigid_transform(hand, there) for there in now]
@@ -70,12 +63,12 @@ def hand_ties(recording: Observed, positions, seen, spacing: float, hands, *, ro
     if not len(ties):
         near = cKDTree(positions).query(recording.controllers[0, hands])[1]
         ties = np.stack([np.arange(len(hands)), near], 1)
-    fist = fists(recording.controllers[0, hands])
+    hand_of = labels_of(recording.controllers[:1, hands])
     kept = np.ones(len(ties), bool)
-    for label in np.unique(fist):
-        mine = np.flatnonzero(fist[ties[:, 0]] == label)
+    for label in np.unique(hand_of):
+        mine = np.flatnonzero(hand_of[ties[:, 0]] == label)
         nodes = np.unique(ties[mine, 1])
-        hand = recording.controllers[:, hands[fist == label]]
+        hand = recording.controllers[:, hands[hand_of == label]]
         behind = _left_behind(hand, seen[:, nodes], positions[nodes])
         held = nodes[behind <= max(CARRIED, np.sort(behind)[:2].max())]
         if rope:
@@ -93,13 +86,13 @@ def rope_exits(recording: Observed, positions, seen, chains, ties) -> np.ndarray
     it was ``seen`` (T, n, 3). All controllers are hands.
     """
     found = positions.copy()
-    fist = fists(recording.controllers[0])
-    holder = dict(zip(ties[:, 1].tolist(), fist[ties[:, 0] - len(positions)].tolist(), strict=True))
+    hand_of = labels_of(recording.controllers[:1])
+    holder = dict(zip(ties[:, 1].tolist(), hand_of[ties[:, 0] - len(positions)].tolist(), strict=True))
     steps = [step for chain in chains for step in (*pairwise(chain.tolist()), *pairwise(chain[::-1].tolist()))]
     for last, free in steps:
         if last not in holder or free in holder:
             continue
-        hand = recording.controllers[:, fist == holder[last]]
+        hand = recording.controllers[:, hand_of == holder[last]]
         first = _first_while(hand, len(seen), recording.fps)
         step = positions[free] - positions[last]
         share = np.linspace(-EXIT, EXIT, 21)
@@ -160,9 +153,9 @@ def held_points(recording: Observed) -> list[Held]:
     seen = np.where(recording.visible[:frames, :, None], recording.points[:frames], np.nan)
     usable = np.flatnonzero(recording.visible[0])
     found = []
-    fist = fists(recording.controllers[0, free]) if len(free) else np.zeros(0, int)
-    for label in np.unique(fist):
-        hand = recording.controllers[:, free[fist == label]]
+    hand_of = labels_of(recording.controllers[:1, free])
+    for label in np.unique(hand_of):
+        hand = recording.controllers[:, free[hand_of == label]]
         if len(hand[0]) < 3 or not len(usable):
             continue
         distance = cKDTree(hand[0]).query(recording.points[0, usable])[0]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .hands import fists
+from ..methods.continuum.hands import labels_of
 from .replica import Replica
 
 __all__ = ["Motion", "Setting", "motions"]
@@ -132,7 +132,7 @@ def _hands(replica):
     from scipy.spatial.distance import cdist
 
     start, system = replica.recording.controllers[0], replica.system
-    label = fists(start)
+    label = labels_of(start[None])
     moved_by = {int(node): c for c, node in enumerate(system.grips) if node >= 0}
     for chain in system.chains:
         for a, b in zip(chain[:-1].tolist(), chain[1:].tolist(), strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..datasets.scenario import Observed, Scenario
 
-__all__ = ["Budget", "Diverged", "Method", "Trajectory", "Twin"]
+__all__ = ["Budget", "Diverged", "Method", "Trajectory", "Twin", "spread_evenly"]
 
 
 class Diverged(RuntimeError):
@@ -81,6 +81,12 @@ class Twin(ABC):
     @abstractmethod
     def load(cls, folder: Path) -> Twin:
         """The twin that ``save`` wrote."""
+
+
+def spread_evenly(recordings: Sequence, most: int | None) -> list:
+    """At most so many of ``recordings`` (None: all), evenly spread from the first to the last."""
+    most = len(recordings) if most is None else min(most, len(recordings))
+    return [recordings[k] for k in np.unique(np.linspace(0, len(recordings) - 1, most).astype(int))]
 
 
 class Method(ABC):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..datasets.scenario import Observed
+from . import saving
 from .base import Method, Trajectory, Twin
 
 __all__ = ["METHODS", "Static", "StaticTwin"]
@@ -38,17 +38,12 @@ class StaticTwin(Twin):
         return self.of(target)
 
     def save(self, folder: Path) -> None:
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        np.savez(folder / "twin.npz", structure=self.structure, grips=self.grips)
-        (folder / "twin.json").write_text(json.dumps({"counts": self.counts}), encoding="utf-8")
+        saving.write(folder, dict(structure=self.structure, grips=self.grips), {"counts": self.counts})
 
     @classmethod
     def load(cls, folder: Path) -> StaticTwin:
-        with np.load(Path(folder) / "twin.npz", allow_pickle=False) as arrays:
-            structure, grips = arrays["structure"], arrays["grips"]
-        counts = json.loads((Path(folder) / "twin.json").read_text(encoding="utf-8"))["counts"]
-        return cls(structure, tuple(counts), grips)
+        arrays, state = saving.read(folder)
+        return cls(arrays["structure"], tuple(state["counts"]), arrays["grips"])
 
 
 class Static(Method):

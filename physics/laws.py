@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from .materials import fuse_material
+from .sums import summed
 from .terms.base import STAGES, Term
 
 __all__ = ["Laws"]
@@ -57,114 +58,24 @@ class Laws:
     def fuse(self) -> SimpleNamespace:
         """One Warp function, generic in its precision, for each stage in the kernels and for "evolve"; contact is None without its term."""
         return SimpleNamespace(
-            axial=_axial(self),
+            axial=summed(self, "axial"),
             strand=_strand(self),
             evolve=_evolve(self),
-            hinge=_hinge(self),
-            facet=_facet(self),
-            solid=_solid(self),
-            viscous=_viscous(self),
+            hinge=summed(self, "hinge"),
+            facet=summed(self, "facet"),
+            solid=summed(self, "solid"),
+            viscous=summed(self, "viscous"),
             **fuse_material(self),
-            body=_body(self),
-            surface=_surface(self),
+            body=summed(self, "body"),
+            surface=summed(self, "surface"),
             touch=_touch(self)[0],
             settle=_touch(self)[1],
-            grip=_grip(self),
-            observer=_observer(self),
+            grip=summed(self, "grip"),
+            observer=summed(self, "observer"),
             velocity=_velocity(self),
             contact=_contact(self),
             move=_move(self),
         )
-
-
-def _axial(laws):
-    @wp.func
-    def total(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any):
-        return type(length)(0.0)
-
-    for term, offset in laws.stage("axial"):
-        total = _plus_axial(total, term.law, offset)
-    return total
-
-
-def _plus_axial(before, law, offset):
-    @wp.func
-    def total(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any):
-        return before(length, rate, rest, stiffness, p) + law(length, rate, rest, stiffness, p, offset)
-
-    return total
-
-
-def _hinge(laws):
-    @wp.func
-    def total(kappa: Any, rate: Any, natural: Any, span: Any, p: Any):
-        return type(kappa)()
-
-    for term, offset in laws.stage("hinge"):
-        total = _plus_hinge(total, term.law, offset)
-    return total
-
-
-def _plus_hinge(before, law, offset):
-    @wp.func
-    def total(kappa: Any, rate: Any, natural: Any, span: Any, p: Any):
-        return before(kappa, rate, natural, span, p) + law(kappa, rate, natural, span, p, offset)
-
-    return total
-
-
-def _facet(laws):
-    @wp.func
-    def total(area: Any, v: Any, m: Any, swell: Any, dt: Any, p: Any):
-        return type(area)()
-
-    for term, offset in laws.stage("facet"):
-        total = _plus_facet(total, term.law, offset)
-    return total
-
-
-def _plus_facet(before, law, offset):
-    @wp.func
-    def total(area: Any, v: Any, m: Any, swell: Any, dt: Any, p: Any):
-        return before(area, v, m, swell, dt, p) + law(area, v, m, swell, dt, p, offset)
-
-    return total
-
-
-def _solid(laws):
-    @wp.func
-    def total(deformed: Any, p: Any):
-        return type(deformed)()
-
-    for term, offset in laws.stage("solid"):
-        total = _plus_solid(total, term.law, offset)
-    return total
-
-
-def _plus_solid(before, law, offset):
-    @wp.func
-    def total(deformed: Any, p: Any):
-        return before(deformed, p) + law(deformed, p, offset)
-
-    return total
-
-
-def _viscous(laws):
-    @wp.func
-    def total(rate: Any, p: Any):
-        return type(rate)()
-
-    for term, offset in laws.stage("viscous"):
-        total = _plus_viscous(total, term.law, offset)
-    return total
-
-
-def _plus_viscous(before, law, offset):
-    @wp.func
-    def total(rate: Any, p: Any):
-        return before(rate, p) + law(rate, p, offset)
-
-    return total
 
 
 def _strand(laws):
@@ -206,42 +117,6 @@ def _plus_evolve(before, evolve, index, offset):
     return after
 
 
-def _body(laws):
-    @wp.func
-    def total(x: Any, v: Any, home: Any, m: Any, p: Any):
-        return type(x)()
-
-    for term, offset in laws.stage("body"):
-        total = _plus_body(total, term.law, offset)
-    return total
-
-
-def _plus_body(before, law, offset):
-    @wp.func
-    def total(x: Any, v: Any, home: Any, m: Any, p: Any):
-        return before(x, v, home, m, p) + law(x, v, home, m, p, offset)
-
-    return total
-
-
-def _surface(laws):
-    @wp.func
-    def total(x: Any, v: Any, home: Any, area: Any, m: Any, p: Any):
-        return type(x)()
-
-    for term, offset in laws.stage("surface"):
-        total = _plus_surface(total, term.law, offset)
-    return total
-
-
-def _plus_surface(before, law, offset):
-    @wp.func
-    def total(x: Any, v: Any, home: Any, area: Any, m: Any, p: Any):
-        return before(x, v, home, area, m, p) + law(x, v, home, area, m, p, offset)
-
-    return total
-
-
 def _touch(laws):
     found = laws.stage("touch")
     if len(found) > 1:
@@ -259,42 +134,6 @@ def _touch(laws):
         return evolve(x, v, m, q, dt, p, 0)
 
     return touch, settle
-
-
-def _grip(laws):
-    @wp.func
-    def total(apart: Any, rate: Any, m: Any, p: Any):
-        return type(apart)()
-
-    for term, offset in laws.stage("grip"):
-        total = _plus_grip(total, term.law, offset)
-    return total
-
-
-def _plus_grip(before, law, offset):
-    @wp.func
-    def total(apart: Any, rate: Any, m: Any, p: Any):
-        return before(apart, rate, m, p) + law(apart, rate, m, p, offset)
-
-    return total
-
-
-def _observer(laws):
-    @wp.func
-    def total(x: Any, v: Any, home: Any, y: Any, u: Any, m: Any, p: Any):
-        return type(x)()
-
-    for term, offset in laws.stage("observer"):
-        total = _plus_observer(total, term.law, offset)
-    return total
-
-
-def _plus_observer(before, law, offset):
-    @wp.func
-    def total(x: Any, v: Any, home: Any, y: Any, u: Any, m: Any, p: Any):
-        return before(x, v, home, y, u, m, p) + law(x, v, home, y, u, m, p, offset)
-
-    return total
 
 
 def _velocity(laws):

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from .sums import summed
+
 __all__ = ["fuse_material", "make_point", "point_twin"]
 
 
@@ -42,14 +44,19 @@ def placed(q: Any, own: Any, k: int):
     return found
 
 
+@wp.func
+def no_growth(at: Any, p: Any):
+    return wp.outer(at, at - at)
+
+
 def fuse_material(laws) -> dict:
     """The fused laws of the stages of a solid but "solid" and "viscous", by name."""
     return dict(
         moduli=_moduli(laws),
-        growth=_growth(laws),
+        growth=summed(laws, "growth", no_growth),
         flowed=_flowed(laws),
         flow=_flow(laws),
-        material=_material(laws),
+        material=summed(laws, "material"),
         branch=_branch(laws),
         recall=_recall(laws),
     )
@@ -72,24 +79,6 @@ def _plus_moduli(before, law, offset):
         mu, lame = before(p)
         own_mu, own_lame = law(p, offset)
         return mu + own_mu, lame + own_lame
-
-    return total
-
-
-def _growth(laws):
-    @wp.func
-    def total(at: Any, p: Any):
-        return wp.outer(at, at - at)
-
-    for term, offset in laws.stage("growth"):
-        total = _plus_growth(total, term.law, offset)
-    return total
-
-
-def _plus_growth(before, law, offset):
-    @wp.func
-    def total(at: Any, p: Any):
-        return before(at, p) + law(at, p, offset)
 
     return total
 
@@ -129,24 +118,6 @@ def _plus_flow(before, law, index, offset):
         return before(deformed, home, mu, lame, dt, shape, q, p) + placed(q, own, index)
 
     return after
-
-
-def _material(laws):
-    @wp.func
-    def total(deformed: Any, home: Any, mu: Any, lame: Any, p: Any):
-        return type(deformed)()
-
-    for term, offset in laws.stage("material"):
-        total = _plus_material(total, term.law, offset)
-    return total
-
-
-def _plus_material(before, law, offset):
-    @wp.func
-    def total(deformed: Any, home: Any, mu: Any, lame: Any, p: Any):
-        return before(deformed, home, mu, lame, p) + law(deformed, home, mu, lame, p, offset)
-
-    return total
 
 
 def _branch(laws):

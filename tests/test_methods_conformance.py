@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from twinbench.benchmark.conformance.checking import Skipped
-from twinbench.benchmark.conformance.methods import CHECKS, Subject
-from twinbench.benchmark.conformance.scene import recording
+from twinbench.benchmark.conformance.methods import CHECKS, Subject, held_out_frames_do_not_matter
+from twinbench.benchmark.conformance.scene import TRAIN, recording
 from twinbench.methods.registry import methods
+from twinbench.methods.static import Static
 
 SUBJECTS = {name: Subject(found) for name, found in sorted(methods().items())}
 
@@ -21,6 +22,16 @@ def test_method(name, check):
         # poison in test frames shows in every method that looks at train frames, and only the baselines may not
         assert check.__name__ != "train_frames_matter" or name in ("static", "rigid")
         pytest.skip(str(reason))
+
+
+@pytest.mark.parametrize("peek", [lambda one: np.nanmax(np.abs(one.points)) > 100, lambda one: not one.visible[TRAIN:].any()])
+def test_a_method_whose_skip_looks_at_held_out_frames_is_noticed(peek):
+    class Peeks(Static):
+        def skip(self, scenario):
+            return "its end is out of reach" if peek(scenario) else None
+
+    with pytest.raises(AssertionError, match="skip must say the same whatever test frames show"):
+        held_out_frames_do_not_matter(Subject(Peeks))
 
 
 @pytest.mark.parametrize("field", ["points", "controllers", "surface", "interior", "gravity"])

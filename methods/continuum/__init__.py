@@ -10,9 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar
 
-import numpy as np
-
-from ..base import Method
+from ..base import Method, spread_evenly
 from .config import Config
 
 __all__ = ["METHODS", "Continuum"]
@@ -43,8 +41,7 @@ class Continuum(Method):
         from .scene import Scene
         from .twin import ContinuumTwin, posterior_of
 
-        chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
-        used = [observed[k] for k in chosen]
+        used = spread_evenly(observed, config.recordings)
         bodies = [body_of(one, kind="solid") for one in used]
         if config.pitch != 1.0:
             pitches = [config.pitch * float(body.grid.size.mean()) for body in bodies]

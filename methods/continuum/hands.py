@@ -10,7 +10,7 @@ import numpy as np
 from ...datasets.scenario import Observed
 from .held import firmness_of
 
-__all__ = ["Hand", "frames_of", "groups_of", "hands_of", "steadied"]
+__all__ = ["Hand", "frames_of", "groups_of", "hands_of", "labels_of", "steadied"]
 
 HAND = 0.05  # m, between neighbouring controllers of one hand, at all times
 MOMENTS = 32  # frames in which that is looked up
@@ -61,18 +61,23 @@ def hands_of(recording: Observed, *, radius: float | None = None) -> tuple[Hand,
 
 
 def groups_of(controllers) -> tuple[np.ndarray, ...]:
-    """Indices of ``controllers`` (T, C, 3) [m], hand by hand: those that stay within ``HAND`` of each other, link by link."""
+    """Indices of ``controllers`` (T, C, 3) [m], hand by hand; see ``labels_of``."""
+    label = labels_of(controllers)
+    groups = [np.flatnonzero(label == k) for k in np.unique(label)]
+    return tuple(sorted(groups, key=lambda group: group[0]))
+
+
+def labels_of(controllers) -> np.ndarray:
+    """(C,) which hand each of ``controllers`` (T, C, 3) [m] is of: those that stay within ``HAND`` of each other, link by link."""
     from scipy.cluster.hierarchy import fcluster, linkage
     from scipy.spatial.distance import pdist
 
     frames, count = controllers.shape[:2]
     if count < 2:
-        return (np.arange(count),) if count else ()
+        return np.ones(count, int)
     moments = np.unique(np.linspace(0, frames - 1, min(MOMENTS, frames)).astype(int))
     apart = np.max([pdist(controllers[t]) for t in moments], axis=0)
-    label = fcluster(linkage(apart), HAND, "distance")
-    groups = [np.flatnonzero(label == k) for k in np.unique(label)]
-    return tuple(sorted(groups, key=lambda group: group[0]))
+    return fcluster(linkage(apart), HAND, "distance")
 
 
 def frames_of(points) -> tuple[np.ndarray, np.ndarray, str]:

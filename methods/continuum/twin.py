@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +12,7 @@ from ...datasets.scenario import Observed, Plane
 from ...physics import terms
 from ...physics.grids import Grid
 from ...physics.terms.base import Term
+from .. import saving
 from ..base import Diverged, Trajectory, Twin
 from ..registration import align, rigid_transform
 from .body import body_of
@@ -66,7 +66,7 @@ class ContinuumTwin(Twin):
         The rest shape is moved rigidly to where the target's points lie; where they are shaped otherwise it is taken from them instead.
         Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance.
         """
-        scene, target = self.scene, _initial(target)
+        scene, target = self.scene, target.until(1)
         outer = sum(scene.counts[:2])
         cloud = target.structure[: sum(target.counts[:2])]
         laid = align(scene.structure, cloud, surface=outer)
@@ -88,8 +88,6 @@ class ContinuumTwin(Twin):
         return replace(self, scene=there, values=values)
 
     def save(self, folder: Path) -> None:
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         scene, grid = self.scene, self.scene.grid
         arrays = {f"grid_{f.name}": getattr(grid, f.name) for f in fields(Grid)}
         arrays |= {name: getattr(scene, name) for name in ("surface", "structure", "controllers", "grips", "gravity")}
@@ -101,15 +99,11 @@ class ContinuumTwin(Twin):
         state |= dict(
             values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior, device=self.device
         )
-        np.savez_compressed(folder / "twin.npz", **arrays)
-        (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
+        saving.write(folder, arrays, state)
 
     @classmethod
     def load(cls, folder: Path) -> ContinuumTwin:
-        folder = Path(folder)
-        state = json.loads((folder / "twin.json").read_text(encoding="utf-8"))
-        with np.load(folder / "twin.npz", allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays, state = saving.read(folder)
         grid = Grid(**{f.name: arrays[f"grid_{f.name}"] for f in fields(Grid)})
         hands = []
         for k, (turns, notes) in enumerate(zip(state["turns"], state["hand_notes"], strict=True)):
@@ -134,12 +128,6 @@ def posterior_of(estimate) -> dict:
         at_bounds=list(found.at_bounds),
         unconstrained=list(found.unconstrained),
     )
-
-
-def _initial(recording: Observed) -> Observed:
-    """``recording`` with nothing observed after frame 0."""
-    first = {name: getattr(recording, name)[:1] for name in ("points", "visible", "motion_valid")}
-    return replace(recording, **first, colors=None if recording.colors is None else recording.colors[:1])
 
 
 def _nearest(points, cloud):

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..base import Method
+from ..base import Method, spread_evenly
 from .config import AS_PUBLISHED, CORRECTED, Config
 
 __all__ = ["METHODS", "GSDynamics", "GSDynamicsAsPublished"]
@@ -61,9 +61,7 @@ class GSDynamics(Method):
             if reason := self.skip(one):
                 raise ValueError(f"{reason} (scenario {one.name})")
         config = self.config(budget.preset, observed[0])
-        most = len(observed) if config.recordings is None else min(config.recordings, len(observed))
-        chosen = np.unique(np.linspace(0, len(observed) - 1, most).astype(int))
-        clips = [prepare(observed[k], config) for k in chosen]
+        clips = [prepare(one, config) for one in spread_evenly(observed, config.recordings)]
         if not any(clip.windows for clip in clips):
             raise ValueError(f"no two points are seen throughout any window of the train frames (scenario {observed[0].name})")
         network = train(clips, config, seed=seed, device=device, progress=progress)

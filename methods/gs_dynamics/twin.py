@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -11,6 +10,7 @@ import numpy as np
 import torch
 
 from ...datasets.scenario import Observed
+from .. import saving
 from ..base import Diverged, Trajectory, Twin
 from ..threads import threads_for
 from .config import Config, Quirks
@@ -95,21 +95,15 @@ class GSDynamicsTwin(Twin):
         return replace(self, place=Place.of(target))
 
     def save(self, folder: Path) -> None:
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         place = self.place
         arrays = {f"network.{name}": value.cpu().numpy() for name, value in self.network.state_dict().items()}
-        arrays |= {name: getattr(place, name) for name in ("structure", "controllers", "grips")}
-        np.savez(folder / "twin.npz", rotation=place.upright.rotation, **arrays)
+        arrays |= {name: getattr(place, name) for name in ("structure", "controllers", "grips")} | dict(rotation=place.upright.rotation)
         state = dict(counts=place.counts, offset=place.upright.offset, config=asdict(self.config), seed=self.seed, device=self.device)
-        (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
+        saving.write(folder, arrays, state)
 
     @classmethod
     def load(cls, folder: Path) -> GSDynamicsTwin:
-        folder = Path(folder)
-        state = json.loads((folder / "twin.json").read_text(encoding="utf-8"))
-        with np.load(folder / "twin.npz", allow_pickle=False) as file:
-            a = dict(file)
+        a, state = saving.read(folder)
         config = Config(**state["config"] | {"quirks": Quirks(**state["config"]["quirks"])})
         upright = Upright(a["rotation"], state["offset"])
         place = Place(a["structure"], tuple(state["counts"]), a["controllers"], a["grips"], upright)

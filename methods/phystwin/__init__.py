@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..base import Method
+from ..base import Method, spread_evenly
 from .config import AS_PUBLISHED, CORRECTED, Config
 
 __all__ = ["METHODS", "PhysTwin", "PhysTwinAsPublished", "PhysTwinFirst", "PhysTwinZero"]
@@ -57,8 +57,7 @@ class PhysTwin(Method):
 
     def recordings(self, observed, config: Config) -> list:
         """What of ``observed`` is fitted: so many recordings and frames of each. Raises ValueError where they show different bodies."""
-        chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
-        used = [observed[k] for k in chosen]
+        used = spread_evenly(observed, config.recordings)
         if reason := _mismatch(used):
             raise ValueError(reason)
         return [_first_frames(o, config.frames) for o in used]
@@ -146,6 +145,4 @@ def _first_frames(observed, frames):
     """The recording's first ``frames`` observed frames."""
     if frames is None or frames >= observed.observed_frames:
         return observed
-    cut = {n: getattr(observed, n)[:frames] for n in ("points", "visible", "motion_valid")}
-    colors = None if observed.colors is None else observed.colors[:frames]
-    return replace(observed, **cut, colors=colors, controllers=observed.controllers[:frames])
+    return replace(observed.until(frames), controllers=observed.controllers[:frames])

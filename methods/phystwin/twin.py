@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed
 from ...physics import terms
+from .. import saving
 from ..base import Diverged, Trajectory, Twin
 from . import transfer
 from .body import Body, Place, roll, system
@@ -60,24 +60,18 @@ class PhysTwinTwin(Twin):
         return replace(self, body=transfer.grasp(self.body, place, self.config.quirks), place=place, transferred=True)
 
     def save(self, folder: Path) -> None:
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         b, p = self.body, self.place
         arrays = dict(springs=b.springs, stiffness=b.stiffness, pulls=b.pulls, pull=b.pull, home=b.home)
         arrays |= dict(structure=p.structure, controllers=p.controllers, grips=p.grips, gravity=p.gravity)
         arrays |= {} if p.colors is None else dict(colors=p.colors)
-        np.savez_compressed(folder / "twin.npz", **arrays)
         rest = dict(name=p.name, counts=p.counts, ground=p.ground, self_collision=p.self_collision, fps=p.fps)
         added = {type(t).__name__: t.values for t in b.added}
         state = dict(values=b.values, added=added, place=rest, config=asdict(self.config), device=self.device, transferred=self.transferred)
-        (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
+        saving.write(folder, arrays, state)
 
     @classmethod
     def load(cls, folder: Path) -> PhysTwinTwin:
-        folder = Path(folder)
-        state = json.loads((folder / "twin.json").read_text(encoding="utf-8"))
-        with np.load(folder / "twin.npz", allow_pickle=False) as file:
-            a = dict(file)
+        a, state = saving.read(folder)
         added = tuple(getattr(terms, name)(values) for name, values in state["added"].items())
         body = Body(values=state["values"], added=added, **{f.name: a[f.name] for f in fields(Body) if f.name in a})
         rest = state["place"] | {"counts": tuple(state["place"]["counts"])}

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
 
 from ...datasets.scenario import Plane
+from .. import saving
 from ..base import Diverged, Trajectory, Twin
 from ..threads import threads_for
 from .body import Body
@@ -112,21 +112,16 @@ class SpringGausTwin(Twin):
         raise ValueError(IN_DOMAIN_ONLY)
 
     def save(self, folder: Path) -> None:
-        folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         body = {f"body_{f.name}": getattr(self.body, f.name) for f in fields(Body)}
         learned = {f"learned_{name}": values for name, values in self.learned.items()}
-        np.savez_compressed(folder / "twin.npz", structure=self.structure, gravity=self.gravity, **body, **learned)
         ground = None if self.ground is None else {"normal": self.ground.normal.tolist(), "offset": float(self.ground.offset)}
         state = {name: getattr(self, name) for name in ("counts", "fps", "substeps", "capped", "perceptual", "device")}
-        (folder / "twin.json").write_text(json.dumps(state | {"ground": ground, "config": asdict(self.config)}, indent=1), encoding="utf-8")
+        arrays = dict(structure=self.structure, gravity=self.gravity, **body, **learned)
+        saving.write(folder, arrays, state | {"ground": ground, "config": asdict(self.config)})
 
     @classmethod
     def load(cls, folder: Path) -> SpringGausTwin:
-        folder = Path(folder)
-        state = json.loads((folder / "twin.json").read_text(encoding="utf-8"))
-        with np.load(folder / "twin.npz", allow_pickle=False) as file:
-            arrays = dict(file)
+        arrays, state = saving.read(folder)
         body = Body(**{f.name: arrays[f"body_{f.name}"] for f in fields(Body)})
         learned = {name.removeprefix("learned_"): values for name, values in arrays.items() if name.startswith("learned_")}
         ground = state.pop("ground")

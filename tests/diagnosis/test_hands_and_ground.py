@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from twinbench.datasets.scenario import Plane
 from twinbench.diagnosis import replica
-from twinbench.diagnosis.hands import fists, hand_ties
+from twinbench.diagnosis.hands import hand_ties
 from twinbench.diagnosis.model import Simulator
 from twinbench.diagnosis.replica import build_replica
+from twinbench.methods.continuum.hands import labels_of
 from twinbench.physics.terms import Ground
 
 FRAMES, FPS = 24, 30.0
@@ -151,9 +152,9 @@ def test_a_hand_out_of_reach_holds_what_is_nearest(tiny):
 def test_points_of_one_hand_hang_together_link_by_link():
     # 4 cm from one to the next and 12 cm over all: one hand; 30 cm on: another
     row = np.arange(4)[:, None] * [0.04, 0, 0]
-    label = fists(np.concatenate([row, row + [0.5, 0, 0]]))
+    label = labels_of(np.concatenate([row, row + [0.5, 0, 0]])[None])
     assert len(set(label[:4])) == len(set(label[4:])) == 1 and label[0] != label[4]
-    assert fists(row[:1]).tolist() == [1]
+    assert labels_of(row[None, :1]).tolist() == [1]
 
 
 @pytest.mark.parametrize("noise", [0.0, 5e-4])

@@ -1,0 +1,25 @@
+"""How a twin is kept in a folder: its arrays in ``twin.npz``, everything else in ``twin.json``; no pickle."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["read", "write"]
+
+
+def write(folder: Path | str, arrays: dict[str, np.ndarray], state: dict) -> None:
+    """Write ``arrays`` and ``state``, which JSON can say, into ``folder``, which is made where it is not there."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(folder / "twin.npz", **arrays)
+    (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
+
+
+def read(folder: Path | str) -> tuple[dict[str, np.ndarray], dict]:
+    """(arrays, state) that ``write`` wrote; tuples of the state are lists."""
+    with np.load(Path(folder) / "twin.npz", allow_pickle=False) as file:
+        arrays = dict(file)
+    return arrays, json.loads((Path(folder) / "twin.json").read_text(encoding="utf-8"))
