@@ -19,6 +19,7 @@ __all__ = ["ABLATIONS", "Ablation", "clips_of", "with_clips"]
 IN_DOMAIN = ("resimulation", "prediction")
 CLIPS = (1, 2, 5, 10, 30)  # published: 30 clips for the graph network, one for PhysTwin
 CAMERAS = (1, 2, 3)
+DISTANCES = ("chamfer", "track_error")
 IMAGES = tuple(f"{name}{which}" for which in ("", "_corrected") for name in ("iou", "psnr", "ssim", "lpips"))
 
 
@@ -116,6 +117,17 @@ ABLATIONS = {
     "clips-as-published": Ablation(
         "a graph network as published on more recordings of the object, where PhysTwin has one: the paper's data efficiency",
         (_PUBLISHED, *_clips("gs-dynamics-as-published")),
+    ),
+    "meshes": Ablation(
+        "continuum in cells of three sizes: whether a twin hangs on its mesh",
+        ("continuum", *(Variant(f"continuum (cells x {times})", "continuum", {"pitch": times}) for times in (0.7, 1.5))),
+        metrics=DISTANCES,
+    ),
+    "grips": Ablation(
+        "continuum with what hands hold fitted, and as they are said to hold it",
+        ("continuum", Variant("continuum (grips as told)", "continuum", {"grips": False})),
+        tasks=(),
+        metrics=DISTANCES,
     ),
     "cameras": Ablation("fitted with what fewer cameras saw", (*_cameras("phystwin"), *_cameras("spring-gaus"))),
     "tracks": Ablation(
