@@ -38,17 +38,14 @@ class Continuum(Method):
 
     def fitted(self, observed, config: Config, *, seed=0, device="cpu", progress=None, **told):
         """The twin of ``observed`` by ``config``; ``told`` goes to ``estimate``: further terms, values that are known."""
-        from .body import body_of
+        from .bodies import bodies_of
         from .estimate import estimate, own_values
         from .scene import Scene
         from .twin import ContinuumTwin, posterior_of
 
         chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
         used = [observed[k] for k in chosen]
-        bodies = [body_of(one, kind="solid") for one in used]
-        if config.pitch != 1.0:
-            pitches = [config.pitch * float(body.grid.size.mean()) for body in bodies]
-            bodies = [body_of(one, kind="solid", pitch=pitch) for one, pitch in zip(used, pitches, strict=True)]
+        bodies = bodies_of(used, times=config.pitch)
         scenes = [Scene.of(one, body) for one, body in zip(used, bodies, strict=True)]
         found = estimate(used, scenes, config, seed=seed, device=device, progress=progress, **told)
         values = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
@@ -56,14 +53,12 @@ class Continuum(Method):
         return ContinuumTwin(scene, values, tuple(told.get("extra", ())), posterior_of(found), device)
 
     def skip(self, scenario) -> str | None:
-        from .body import body_of
+        from .bodies import bodies_of
         from .hands import hands_of
 
         seen = scenario.observed() if hasattr(scenario, "observed") else scenario
         try:
-            body = body_of(seen, kind=None)
-            if body.kind != "solid":
-                return f"a {body.kind}: cells are for solids"
+            bodies_of([seen])
             hands_of(seen)
         except ValueError as error:
             return str(error)

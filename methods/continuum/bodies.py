@@ -13,6 +13,7 @@ from ...physics.points import Points
 from ...physics.terms.base import Term
 from .body import SolidBody, body_of
 from .config import Config
+from .start import start_velocity
 from .unknowns import Unknown
 
 __all__ = ["Body", "bodies_of", "class_of"]
@@ -91,9 +92,13 @@ class Body(ABC):
     def followed(self, path: np.ndarray) -> np.ndarray:
         """(T, M, 3) m, the structure points while the nodes go along ``path`` (T, N, 3)."""
 
-    def moving(self, recording: Observed) -> np.ndarray:
-        """(N, 3) m/s of the nodes in frame 0, from the recording's first two frames."""
-        raise ValueError(f"a {self.kind} starts at rest (scenario {recording.name})")
+    def speeds(self, recording: Observed) -> np.ndarray:
+        """(M, 3) m/s of the structure points in frame 0, from the recording's first two frames."""
+        return start_velocity(recording)
+
+    def moving(self, speeds: np.ndarray) -> np.ndarray:
+        """(N, 3) m/s of the nodes in frame 0 where the structure points move at ``speeds`` (M, 3)."""
+        raise ValueError(f"a {self.kind} can only start at rest")
 
     # ---------------------------------------------------------------- fitted
 

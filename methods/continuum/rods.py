@@ -1,0 +1,1 @@
+class Rod: kind="rope"
