@@ -1,16 +1,14 @@
-"""Twins as continua: a few global parameters of a body of finite elements, in an embedded grid, fitted to recordings.
+"""Twins as continua: a few global parameters of a body of finite elements, solid cells or rods, fitted to recordings.
 
-Foam, plush, rubber: a body is told from the points of frame 0, gridded, held by hands that may be a little elsewhere than they are said to
-be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how well sound twins can predict each
-part of a motion. ``results/continuum.md`` says what it is worth.
+Foam, plush, rubber, ropes: a body is told from the points of frame 0, cut into elements, held by hands that may be a little elsewhere than
+they are said to be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how well sound twins
+can predict each part of a motion. ``results/continuum.md`` says what it is worth.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import ClassVar
-
-import numpy as np
 
 from ..base import Method
 from .config import Config
@@ -19,7 +17,7 @@ __all__ = ["METHODS", "Continuum"]
 
 
 class Continuum(Method):
-    """Neo-Hookean and viscous, with Coulomb friction on the ground."""
+    """Solids neo-Hookean and viscous, ropes that resist stretch, bending and twist, with Coulomb friction on the ground."""
 
     name = "continuum"
     presets: ClassVar = {
@@ -38,19 +36,18 @@ class Continuum(Method):
 
     def fitted(self, observed, config: Config, *, seed=0, device="cpu", progress=None, **told):
         """The twin of ``observed`` by ``config``; ``told`` goes to ``estimate``: further terms, values that are known."""
-        from .bodies import bodies_of
         from .estimate import estimate, own_values
-        from .scene import Scene
+        from .joint import placed, scenes_of
         from .twin import ContinuumTwin, posterior_of
 
-        chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
-        used = [observed[k] for k in chosen]
-        bodies = bodies_of(used, times=config.pitch)
-        scenes = [Scene.of(one, body) for one, body in zip(used, bodies, strict=True)]
+        used, scenes, body = scenes_of(observed, config, seed=seed)
         found = estimate(used, scenes, config, seed=seed, device=device, progress=progress, **told)
         values = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
-        scene = replace(scenes[0], notes=(*scenes[0].notes, *_said(found)))
-        return ContinuumTwin(scene, values, tuple(told.get("extra", ())), posterior_of(found), device)
+        scene = placed(observed[0], body, config)
+        scene = replace(scene, notes=(*scene.notes, *_said(found)))
+        return ContinuumTwin(
+            scene, values, tuple(told.get("extra", ())), posterior_of(found), device, "rest" if scene.speeds is None else "frames"
+        )
 
     def skip(self, scenario) -> str | None:
         from .bodies import bodies_of

@@ -29,6 +29,9 @@ class Body(ABC):
     """
 
     kind: ClassVar[str]
+    standoff: float = 0.0  # m, from its surface points to where it touches the ground
+    recordings: int = 3  # that are fitted jointly, at most, unless a config says
+    seconds: float = np.inf  # of each
     structure: np.ndarray
     surface: np.ndarray
     notes: tuple[str, ...]

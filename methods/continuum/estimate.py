@@ -12,7 +12,9 @@ from ...physics.terms.base import Term
 from .config import Config
 from .fitting import Steps, fit
 from .predictability import predictability
+from .problem import posed
 from .result import Fit
+from .robust import StudentT
 from .scene import REACH, SHIFT, Scene
 from .simulate import Simulator
 from .unknowns import Unknown, members
@@ -123,7 +125,7 @@ def estimate(
         coarse.simulate,
         task.data,
         rough,
-        starts=kind.starts(bodies, recordings, task.unknowns, config),
+        starts=_scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts),
         steps=search,
         progress=told("search", 0.0, 0.5, config.iterations),
         **options,
@@ -233,3 +235,14 @@ def _blocks(sight: Sight, record: int):
     places = np.nan_to_num(sight.points[0])
     label = kmeans2(places, min(REGIONS, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
     return np.tile(np.repeat(record * REGIONS + label, 3), len(sight.points))
+
+
+def _scouted(task: Task, starts, rough, count: int):
+    """The ``count`` likeliest of ``starts`` (K, n), which are run once."""
+    if len(starts) <= count:
+        return starts
+    problem, seen = posed(task.unknowns, task.data, rough, StudentT(), task.independent)
+    runs = task.simulate(starts)[:, seen]
+    scaled = [[u.encode(v) for u, v in zip(task.unknowns, row, strict=True)] for row in starts]
+    costs = [problem.place(np.array(s), run).cost for s, run in zip(scaled, runs, strict=True)]
+    return starts[np.argsort(costs)[:count]]

@@ -53,16 +53,16 @@ class Scene:
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, recording: Observed, body: Body, *, moving: bool = False) -> Scene:
-        """The scene of a recording and its body, ``moving`` in frame 0 as its first two frames say or at rest.
+    def of(cls, recording: Observed, body: Body, *, speeds: np.ndarray | None = None) -> Scene:
+        """The scene of a recording and its body, which moves at ``speeds`` (M, 3) m/s in frame 0, or is at rest.
 
         Raises ValueError where a hand holds nothing though it comes near the body.
         """
         radius = max(SOFT * recording.spacing, FINGER)
         hands = hands_of(recording, radius=radius)
         known = dict(counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity)
-        known |= dict(ground=_below(recording.ground, body.surface), fps=recording.fps)
-        known |= dict(speeds=body.speeds(recording) if moving else None)
+        known |= dict(ground=_below(recording.ground, body), fps=recording.fps)
+        known |= dict(speeds=speeds)
         notes = (*body.notes, *(n for hand in hands for n in hand.notes))
         return cls(recording.name, body, hands=hands, radius=radius, notes=notes, **known)
 
@@ -176,8 +176,8 @@ def _from(start: Hand, hand: Hand) -> Hand:
     return replace(hand, rotation=np.concatenate([first[0], hand.rotation]), centre=np.concatenate([first[1], hand.centre]))
 
 
-def _below(ground: Plane | None, surface) -> Plane | None:
-    """The ground, as low as the lowest of the surface: a table that is reported too high would throw the body up."""
+def _below(ground: Plane | None, body: Body) -> Plane | None:
+    """The ground that the body's surface points meet, as low as the lowest of them: one that is reported too high would throw it up."""
     if ground is None:
         return None
-    return Plane(ground.normal, min(ground.offset, float((surface @ ground.normal).min())))
+    return Plane(ground.normal, min(ground.offset + body.standoff, float((body.surface @ ground.normal).min())))

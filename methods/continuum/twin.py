@@ -14,7 +14,9 @@ from ...physics import terms
 from ...physics.terms.base import Term
 from ..base import Diverged, Trajectory, Twin
 from .bodies import class_of
+from .config import Config
 from .hands import Hand
+from .joint import placed
 from .scene import REACH, Scene
 from .simulate import Simulator
 
@@ -33,6 +35,7 @@ class ContinuumTwin(Twin):
     extra: tuple[Term, ...] = ()
     posterior: dict = field(default_factory=dict)
     device: str = "cpu"
+    start: str = "rest"  # or as the first two "frames" of a recording say, where they are known
     looks_ahead = True  # how far a controller is trusted depends on all of its path
 
     @property
@@ -59,10 +62,11 @@ class ContinuumTwin(Twin):
     def retarget(self, target: Observed) -> ContinuumTwin:
         """The same body and material in ``target``'s frame 0, held by its hands there.
 
-        Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance.
+        Of ``target`` only frame 0 and the controllers are looked at, and frame 1 where its start is told by it: what hands hold there is
+        told by distance.
         """
-        scene, target = self.scene, _initial(target)
-        there = Scene.of(target, scene.body.laid(target))
+        scene, config = self.scene, Config(start=self.start)
+        there = placed(_initial(target), scene.body.laid(_initial(target)), config, target)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
         wide = [self.values.get(f"grip{k}_reach", 1.0) * radius for k, radius in enumerate(scene.grips_at[1]) if k in scene.soft]
         if wide:  # hands hold as much there as they were found to hold here
@@ -84,9 +88,8 @@ class ContinuumTwin(Twin):
         state |= dict(kind=scene.body.kind, body_notes=scene.body.notes)
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
-        state |= dict(
-            values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior, device=self.device
-        )
+        state |= dict(values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior)
+        state |= dict(device=self.device, start=self.start)
         np.savez_compressed(folder / "twin.npz", **arrays)
         (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
 
@@ -107,7 +110,7 @@ class ContinuumTwin(Twin):
         known |= {name: state[name] for name in ("name", "radius", "fps")}
         scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
-        return cls(scene, state["values"], extra, state["posterior"], state["device"])
+        return cls(scene, state["values"], extra, state["posterior"], state["device"], state["start"])
 
 
 def posterior_of(estimate) -> dict:
