@@ -29,6 +29,7 @@ class Body(ABC):
     """
 
     kind: ClassVar[str]
+    dimensions: int = 3  # of what a hand takes hold of: a ball of it, a disk or a length
     standoff: float = 0.0  # m, from its surface points to where it touches the ground
     recordings: int = 3  # that are fitted jointly, at most, unless a config says
     seconds: float = np.inf  # of each
@@ -72,6 +73,15 @@ class Body(ABC):
     def markers(self) -> np.ndarray:
         """(M,) the node that a structure point is, or -1: a driven marker that is a node is moved as it was, not pulled along."""
         return np.full(len(self.structure), -1)
+
+    def held_middle(self, hand: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(3,) m, around where a hand whose controllers' middle is at ``hand`` (3,) holds the points that have mass, ``near`` (P,) it."""
+        home = self.points.home[self.points.masses > 0]
+        return near @ home / near.sum() if near.sum() > 0 else hand
+
+    def outward(self, place: np.ndarray) -> np.ndarray:
+        """(3,), the way from ``place`` (3,) m along which a grip that is off here is off elsewhere as well; zeros: there is none."""
+        return np.zeros(3)
 
     @property
     @abstractmethod

@@ -52,6 +52,7 @@ class Rod(Body):
 
     kind = "rope"
     nuisances = ("bending_time", "torsion_ratio", "drag_damping")
+    dimensions = 1
     recordings = 12
     seconds = 1.5
 
@@ -158,6 +159,17 @@ class Rod(Body):
         home = np.einsum("pk,pki->pi", weights, self.positions[nodes])
         free = np.full(len(nodes), -1)
         return Points(nodes, weights, home, LINE_DENSITY * long, 2 * np.pi * max(self.radius, 1e-4) * long, free, np.zeros(len(nodes)))
+
+    def held_middle(self, hand, near):
+        """The nearest place of the axis: a hand near an end has material on one side only."""
+        return self.points.home[np.linalg.norm(self.points.home - hand, axis=1).argmin()] if near.sum() > 0 else hand
+
+    def outward(self, place):
+        """Along the axis to the end that is nearer by way of the rope."""
+        chain = self.strands.chains[0]
+        k = int(np.linalg.norm(self.positions[chain] - place, axis=1).argmin())
+        way = self.positions[chain[max(k - 1, 0)]] - self.positions[chain[min(k + 1, len(chain) - 1)]]
+        return way / np.linalg.norm(way) * (1 if k < len(chain) / 2 else -1)
 
     @property
     def parts(self) -> dict:

@@ -95,9 +95,9 @@ class Scene:
     def grips_at(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
         """(places (k, 3) m of each hand, radii (H,) m): a hand holds what is within its radius of any of its places.
 
-        One place for a hand that is near the body: the middle of the material beside its controllers, and the radius of the ball that what
-        it was seen to hold fills: of what is spread evenly in a ball the RMS distance from its middle is sqrt(3 / 5) of the radius. Driven
-        markers are places themselves.
+        One place for a hand that is near the body, in the material beside its controllers, and the radius of the ball that what it was seen
+        to hold fills: of what is spread evenly in a ball of n dimensions the mean square distance from its middle is n / (n + 2) of the
+        radius squared. Driven markers are places themselves.
         """
         from scipy.spatial import cKDTree
 
@@ -109,10 +109,11 @@ class Scene:
                 places.append(at)
                 continue
             near = falloff(cKDTree(at).query(home)[0], self.radius)
-            places.append((near @ home / near.sum() if near.sum() > 0 else hand.centre[0])[None])
+            places.append(self.body.held_middle(hand.centre[0], near)[None])
             if len(hand.points):
                 held, share = self.structure[hand.points], hand.firmness / hand.firmness.sum()
-                radii[k] = max(0.5 * self.radius, np.sqrt(share @ ((held - share @ held) ** 2).sum(1) / 0.6))
+                spread = share @ ((held - share @ held) ** 2).sum(1)
+                radii[k] = max(0.5 * self.radius, np.sqrt((1 + 2 / self.body.dimensions) * spread))
         return tuple(places), radii
 
     @cached_property

@@ -86,11 +86,11 @@ class Simulator:
         path = np.concatenate([path, np.repeat(path[-1:], max(0, frames - len(path)), 0)])
         held = np.tile(self.system.points.held, (len(values), 1))
         for row, one in zip(held, values, strict=True):
-            row[self.scene.grasp.points] = self.scene.firmness(*self._grips(one))
+            row[self.scene.grasp.points] = self.scene.firmness(*self.grips(one))
         made = dict(dtype=batch.dtype, device=batch.device)
         return dict(table=table, path=torch.tensor(np.tile(path, (1, len(values), 1)), **made), held=torch.tensor(held.ravel(), **made))
 
-    def _grips(self, values):
+    def grips(self, values):
         """(shift (H, 3) m, reach (H,)) of all hands."""
         numbers = [[values.get(f"grip{k}_{name}", float(name == "reach")) for name in GRIP] for k in range(len(self.scene.hands))]
         numbers = np.array(numbers).reshape(-1, len(GRIP))

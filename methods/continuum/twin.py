@@ -68,11 +68,23 @@ class ContinuumTwin(Twin):
         scene, config = self.scene, Config(start=self.start)
         there = placed(_initial(target), scene.body.laid(_initial(target)), config, target)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
-        wide = [self.values.get(f"grip{k}_reach", 1.0) * radius for k, radius in enumerate(scene.grips_at[1]) if k in scene.soft]
-        if wide:  # hands hold as much there as they were found to hold here
-            typical = float(np.exp(np.mean(np.log(wide))))
-            values |= {f"grip{k}_reach": float(np.clip(typical / r, 1 / REACH, REACH)) for k, r in enumerate(there.grips_at[1])}
-        return replace(self, scene=there, values=values)
+        return replace(self, scene=there, values=values | self._grips(there))
+
+    def _grips(self, there: Scene) -> dict[str, float]:
+        """How the hands of another recording hold: as much as they were found to hold here, and as far out."""
+        scene = self.scene
+        shift, reach = self.simulator.grips(self.values)
+        (places, radii), (elsewhere, others) = scene.grips_at, there.grips_at
+        if not scene.soft:
+            return {}
+        typical = float(np.exp(np.mean([np.log(reach[k] * radii[k]) for k in scene.soft])))
+        out = float(np.mean([shift[k] @ scene.body.outward(places[k].mean(0)) for k in scene.soft]))
+        found = {}
+        for k, (place, radius) in enumerate(zip(elsewhere, others, strict=True)):
+            found[f"grip{k}_reach"] = float(np.clip(typical / radius, 1 / REACH, REACH))
+            moved = out * there.body.outward(place.mean(0))
+            found |= {f"grip{k}_shift_{axis}": float(v) for axis, v in zip("xyz", moved, strict=True)}
+        return found
 
     def save(self, folder: Path) -> None:
         folder = Path(folder)
