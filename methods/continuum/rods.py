@@ -53,7 +53,7 @@ class Rod(Body):
     kind = "rope"
     nuisances = ("bending_time", "torsion_ratio", "drag_damping")
     dimensions = 1
-    recordings = 12
+    recordings = 24
     seconds = 1.5
 
     strands: Strands
@@ -234,7 +234,7 @@ class Rod(Body):
             Unknown("bending_stiffness", usual, 1e-4 * usual, 1e3 * usual, "N m^2", "log", prior=(log(usual), log(8.0))),
             Unknown("bending_time", 0.01, 2e-4, 0.3, "s", "log", prior=(log(0.01), log(3.0))),
             Unknown("torsion_ratio", 0.7, 0.05, 5.0, "-", "log", prior=(log(0.7), log(2.0))),
-            Unknown("drag_damping", 0.3, 0.01, 5.0, "1/s", "log", prior=(log(0.3), log(2.5))),
+            Unknown("drag_damping", 0.3, 1e-3, 5.0, "1/s", "log", prior=(log(0.3), log(2.5))),
         ]
         if bodies[0].is_marked:
             return found + shape_unknowns()

@@ -73,7 +73,7 @@ def heavy_elastica(rigidity, length):
 
 @pytest.mark.parametrize("share", [3.0, 30.0])
 def test_a_heavy_cantilever_hangs_as_the_elastica_does(share):
-    # rho g L^3 / B = share. A hinge stands for half a segment on either side, so that the clamp of two markers is in the middle between them;
+    # rho g L^3 / B = share. A hinge stands for half a segment on either side, so that two markers clamp in the middle between them;
     # 16 segments are second order in 1/16, a percent
     points = straight()
     rigidity = GRAVITY * LENGTH**3 / share
