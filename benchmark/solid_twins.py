@@ -44,7 +44,7 @@ def case_rows(folder: str, case: str, method: str, preset: str, seed: int) -> li
             off = errors(twin.rollout(scenario.controllers), places, scenario.visible)
         except Diverged as error:
             return [about | dict(part="all", of=of, error=np.nan, note=str(error)) for of, _, _ in spans]
-        parts = label["motion"][scenario is away]
+        parts = label["motion"][scenario is away] if "motion" in label else []
         found = []
         for of, first, last in spans:
             found.append(about | dict(part="all", of=of, error=_mean(off[first:last])))

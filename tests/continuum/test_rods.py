@@ -1,0 +1,246 @@
+"""Ropes and cables against the mechanics of slender bodies, and the method on recordings that its own engine made."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+from twinbench.datasets.scenario import Observed
+from twinbench.methods.continuum import Continuum
+from twinbench.methods.continuum.axis import axis_of
+from twinbench.methods.continuum.body import body_of
+from twinbench.methods.continuum.config import Config
+from twinbench.methods.continuum.natural import common_shapes
+from twinbench.methods.continuum.rods import GRAVITY, Rod
+from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.simulate import Simulator
+from twinbench.methods.continuum.twin import ContinuumTwin
+from twinbench.methods.continuum.windows import window
+
+LENGTH, MARKERS = 1.0, 17
+DOWN = np.array([0, 0, -GRAVITY])
+
+
+def cable(points, driven, *, controllers=None, gravity=DOWN, fps=30.0, name="cable") -> Observed:
+    """A cable with markers at ``points`` (n, 3) or (F, n, 3), those ``driven`` held where they are or led along ``controllers``."""
+    points = np.atleast_3d(points) if np.ndim(points) == 3 else np.asarray(points, float)[None]
+    seen = np.ones(points.shape[:2], bool)
+    led = points[:, list(driven)] if controllers is None else controllers
+    between = np.concatenate([points[0, :-1] + share * np.diff(points[0], axis=0) for share in (0.25, 0.5, 0.75)])
+    return Observed(
+        name=name,
+        points=points,
+        visible=seen,
+        motion_valid=seen,
+        controllers=led,
+        interior=between,
+        grips=np.array(driven),
+        gravity=gravity,
+        fps=fps,
+    )
+
+
+def straight(count=MARKERS, length=LENGTH):
+    return np.linspace([0, 0, 0], [length, 0, 0], count)
+
+
+def at_rest(recording, values, seconds=8.0, driven_to=None):
+    """(n, 3) m, where markers come to rest, in thick air."""
+    frames = round(seconds * recording.fps)
+    start = recording.controllers[:1]
+    led = np.repeat(start if driven_to is None else driven_to[None], frames, 0)
+    ramp = np.minimum(np.arange(frames) / 30, 1)[:, None, None]
+    scene = Scene.of(recording, Rod.marked(recording))
+    path = Simulator(scene).run([dict(drag_damping=3.0, bending_time=2e-3) | values], frames, start + ramp * (led - start))[0]
+    assert np.isfinite(path).all() and np.abs(path[-1] - path[-10]).max() < 1e-4
+    return path[-1, : recording.counts[0]]
+
+
+def heavy_elastica(rigidity, length):
+    """(x, z) m of the tip of a horizontal cantilever under 1 kg/m: B theta'' = rho g (L - s) cos theta, theta(0) = 0, theta'(L) = 0."""
+
+    def slope(s, y):
+        return np.stack([y[1], GRAVITY * (length - s) / rigidity * np.cos(y[0])])
+
+    s = np.linspace(0, length, 200)
+    found = solve_bvp(slope, lambda a, b: np.array([a[0], b[1]]), s, np.zeros((2, 200)), tol=1e-8, max_nodes=50000)
+    assert found.success
+    angle = found.sol(s)[0]
+    return np.trapezoid(np.cos(angle), s), np.trapezoid(np.sin(angle), s)
+
+
+@pytest.mark.parametrize("share", [3.0, 30.0])
+def test_a_heavy_cantilever_hangs_as_the_elastica_does(share):
+    # rho g L^3 / B = share. A hinge stands for half a segment on either side, so that two markers clamp in the middle between them;
+    # 16 segments are second order in 1/16, a percent
+    points = straight()
+    rigidity = GRAVITY * LENGTH**3 / share
+    tip = at_rest(cable(points, (0, 1)), dict(bending_stiffness=rigidity), seconds=9.0)[-1]
+    x, z = heavy_elastica(rigidity, LENGTH * (1 - 0.5 / (MARKERS - 1)))
+    assert abs(tip[2] - z) < 0.05 * abs(z)
+    assert abs(tip[0] - LENGTH * 0.5 / (MARKERS - 1) - x) < 0.02 * LENGTH
+
+
+def test_a_limp_cable_hangs_in_a_catenary():
+    # y = a cosh(x / a): half the length is a sinh(d / 2a), the sag a (cosh(d / 2a) - 1)
+    points, apart = straight(), 0.7 * LENGTH
+    ends = np.array([[0, 0, 0], [apart, 0, 0]])
+    found = at_rest(cable(points, (0, MARKERS - 1)), dict(bending_stiffness=1e-5), seconds=8.0, driven_to=ends)
+    a = brentq(lambda a: 2 * a * np.sinh(apart / 2 / a) - LENGTH, 0.05, 10)
+    sag = a * (np.cosh(apart / 2 / a) - 1)
+    assert -found[:, 2].min() == pytest.approx(sag, rel=0.02)  # it stretches by 0.2 %, which sags by some 0.5 % more
+
+
+def test_without_weight_a_cable_takes_its_natural_shape():
+    # constant natural curvature k about one axis: a circle of radius 1 / k, whose chord after an arc s is 2 sin(k s / 2) / k
+    points, k = straight(), 2.0
+    found = at_rest(cable(points, (0, 1), gravity=np.zeros(3)), dict(bending_stiffness=0.5, natural_a0=k), seconds=9.0)
+    arc = LENGTH * (1 - 0.5 / (MARKERS - 1)) - 0.5 * LENGTH / (MARKERS - 1)
+    steps = np.linalg.norm(found[-1] - found[1])
+    assert steps == pytest.approx(2 * np.sin(k * arc / 2) / k, rel=0.02)
+    turn = np.linalg.norm(np.cross(found[6] - found[5], found[5] - found[4])) / (LENGTH / (MARKERS - 1)) ** 3
+    assert turn == pytest.approx(k, rel=0.02)
+
+
+def tube(noise=1e-3, seed=0):
+    """(points (M, 3) m, length [m]) on and in a rope 1 cm thick along half a circle of radius 16 cm, with noise."""
+    random = np.random.default_rng(seed)
+    angle, spin, off = random.uniform(0, np.pi, 900), random.uniform(0, 2 * np.pi, 900), 5e-3 * np.sqrt(random.uniform(0.3, 1, 900))
+    ring = 0.16 + off * np.cos(spin)
+    points = np.stack([ring * np.cos(angle), ring * np.sin(angle), off * np.sin(spin)], 1)
+    return points + random.normal(0, noise, points.shape), 0.16 * np.pi
+
+
+def test_the_axis_of_a_filmed_rope_is_found_in_its_points():
+    # half a circle of 16 cm; noise of 1 mm on 900 points, some 20 of which an average hears
+    points, length = tube()
+    axis, radius = axis_of(points, 0.003, 0.01)
+    assert np.abs(np.linalg.norm(axis[:, :2], axis=1) - 0.16).max() < 1.5e-3 and np.abs(axis[:, 2]).max() < 1.5e-3
+    assert np.linalg.norm(np.diff(axis, axis=0), axis=1).sum() == pytest.approx(length, rel=0.02)
+    assert radius == pytest.approx(5e-3, rel=0.25)
+
+
+def filmed():
+    points, _ = tube()
+    seen = np.ones((1, 600), bool)
+    return Observed(
+        name="rope",
+        points=points[None, :600],
+        visible=seen,
+        motion_valid=seen,
+        controllers=np.zeros((1, 0, 3)),
+        interior=points[600:],
+        gravity=np.zeros(3),
+    )
+
+
+def test_points_of_a_rope_turn_with_it():
+    # a rigid motion of the nodes is one of all points: an embedding that did not turn would leave them half a thickness aside
+    recording = filmed()
+    body = Rod.of(recording, body_of(recording, kind="rope"))
+    turns = Rotation.from_rotvec(np.outer(np.linspace(0, 1, 30), [0.3, -1.4, 0.2]))
+    path = np.stack([turn.apply(body.positions) for turn in turns])
+    wanted = turns[-1].apply(recording.structure)
+    off = body.followed(path)[-1] - wanted
+    spun = 2 * 5e-3 * np.sin(1.45 / 2)  # that part of the turn which is a spin about the rope itself nobody tells
+    assert np.abs(body.followed(path)[0] - recording.structure).max() < 1e-12
+    assert np.median(np.linalg.norm(off, axis=1)) < 0.5 * spun and np.linalg.norm(off, axis=1).max() < 2.5 * spun
+
+
+def test_a_rope_that_keeps_its_shape_lies_still():
+    # its natural curvature is that of frame 0, and nothing pulls: no force anywhere
+    recording = filmed()
+    scene = Scene.of(recording, Rod.of(recording, body_of(recording, kind="rope")))
+    path = Simulator(scene).run([dict(bending_stiffness=0.01, natural_kept=1.0)], 10)[0]
+    assert np.abs(path[-1] - path[0]).max() < 1e-4
+
+
+TRUE = dict(bending_stiffness=0.02, bending_time=0.02, torsion_ratio=0.7, drag_damping=0.3, natural_a0=1.5)
+
+
+def swung(frames=40, seed=0, noise=2e-4):
+    """A cable between two robots, one of which swings it; its own engine's motion with jitter of 0.2 mm."""
+    count, fps = 9, 60.0
+    random = np.random.default_rng(seed)
+    x = np.linspace(0, 0.7, count)
+    start = np.stack([x, np.zeros(count), -0.25 * np.sin(np.pi * x / 0.7)], 1)
+    t = np.arange(frames) / fps
+    sway = np.stack([-0.08 * np.sin(5 * t), 0.1 * np.sin(7 * t + seed), 0.06 * np.sin(6 * t)], 1) - [0, 0.1 * np.sin(seed), 0]
+    driven = (0, 1, count - 2, count - 1)
+    led = np.repeat(start[None, list(driven)], frames, 0)
+    led[:, 2:] += sway[:, None]
+    recording = cable(np.repeat(start[None], frames, 0), driven, controllers=led, fps=fps, name=f"swing{seed}")
+    scene = Scene.of(recording, Rod.marked(recording))
+    path = Simulator(scene).run([TRUE], frames)[0][:, :count]
+    assert np.isfinite(path).all()
+    return cable(path + random.normal(0, noise, path.shape), driven, controllers=led, fps=fps, name=f"swing{seed}")
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    recordings = [swung(seed=k) for k in range(2)]
+    config = Config(starts=1, iterations=6, refinement=2, members=0, seconds=9.0)
+    known = {f"natural_{axis}{k}": 0.0 for axis in "ab" for k in range(6) if (axis, k) not in (("a", 0), ("b", 0))}
+    ends = {f"natural_{axis}_{end}": 0.0 for axis in "ab" for end in ("first", "last")}
+    return recordings, Continuum().fitted(recordings, config, fixed=known | ends | dict(torsion_ratio=0.7, drag_damping=0.3))
+
+
+def test_a_cable_is_fitted_by_the_same_path(fitted):
+    # data by its own engine and mesh: what is fitted is what made them
+    _, twin = fitted
+    assert twin.scene.body.kind == "rope" and twin.values["bending_stiffness"] == pytest.approx(TRUE["bending_stiffness"], rel=0.1)
+    assert abs(twin.values["natural_a0"]) == pytest.approx(TRUE["natural_a0"], rel=0.15)
+
+
+def test_driven_markers_go_where_they_are_driven(fitted):
+    recordings, twin = fitted
+    path = twin.rollout(recordings[0].controllers).positions
+    np.testing.assert_allclose(path[:, [0, 1, 7, 8]], recordings[0].controllers, atol=1e-6)
+    assert np.abs(path[:, :9] - recordings[0].points).mean() < 2e-3
+
+
+def test_a_twin_of_a_rope_is_kept_and_moved(fitted, tmp_path):
+    # a roll-out of the saved twin is the same to the last bit, in another recording one that turned with the room
+    recordings, twin = fitted
+    twin.save(tmp_path)
+    again = ContinuumTwin.load(tmp_path)
+    there = recordings[1]
+    path = again.retarget(there).rollout(there.controllers).positions
+    np.testing.assert_array_equal(path, twin.retarget(there).rollout(there.controllers).positions)
+    turn, shift = Rotation.from_rotvec([0, 0, 0.8]).as_matrix(), np.array([0.4, 0, 0.1])
+    moved = replace(there, **{name: getattr(there, name) @ turn.T + shift for name in ("points", "controllers", "interior")})
+    off = twin.retarget(moved).rollout(moved.controllers).positions - (path @ turn.T + shift)
+    assert np.abs(off).max() < 2e-3  # float32 of a motion of half a second
+
+
+def test_a_start_is_told_by_the_first_two_frames(fitted):
+    # the difference of two frames over their time; a twin that starts at rest is told one frame
+    recordings, twin = fitted
+    late = window(recordings[1], 20, 40)
+    fast = replace(twin, start="frames").retarget(window(late, 0, 2))
+    np.testing.assert_allclose(fast.scene.velocities[:9], (late.points[1] - late.points[0]) * late.fps, atol=1e-6)
+    assert twin.start == "rest" and twin.retarget(late).scene.velocities is None
+    ahead = [np.abs(one.rollout(late.controllers).positions[:8, :9] - late.points[:8]).mean() for one in (fast, twin.retarget(late))]
+    assert ahead[0] < 0.7 * ahead[1]
+
+
+def test_shapes_that_frames_share_are_found_however_they_are_rolled():
+    # circles of curvature 3 / m in planes of any roll: the first common shape is constant and of that size, whatever the phase
+    count, angle = 13, np.linspace(0, 1.2, 13)
+    circle = np.stack([np.sin(angle), 1 - np.cos(angle), np.zeros(count)], 1) * (1 / 3)
+    frames = np.stack([Rotation.from_rotvec([roll, 0, 0]).apply(circle) for roll in np.linspace(0, 5, 8)])
+    lengths = np.linalg.norm(np.diff(circle, axis=0), axis=1)
+    shape = common_shapes(np.arange(count), lengths, [cable(frames, (0, 1), fps=1.0)])[0]
+    assert abs(shape[0]) == pytest.approx(3, rel=0.02) and np.abs(shape[1:]).max() < 0.1
+
+
+def test_a_marker_that_is_not_seen_at_first_is_refused():
+    recording = cable(straight(), (0, 1))
+    hidden = recording.visible.copy()
+    hidden[0, 3] = False
+    with pytest.raises(ValueError, match=r"all markers of a rope must be seen in frame 0, marker 3 was not \(scenario cable\)"):
+        Rod.marked(replace(recording, visible=hidden))
+    with pytest.raises(ValueError, match="a rope of 17 markers must have as many elsewhere, got 9"):
+        Rod.marked(recording).laid(swung(2))
