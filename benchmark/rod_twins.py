@@ -1,8 +1,8 @@
 """How right twins are about marked cables: ``python -m twinbench.benchmark.rod_twins PATH/DLO1 ... --seeds 0 --out FILE``.
 
 One twin of ``continuum`` is fitted on the training recordings and placed in every evaluation recording: as fast as its first two frames
-say (as DEFORM's evaluation does, which is given these), and at rest, told the first alone. Errors are mean absolute, per coordinate, over
-the whole recording, of all markers, driven ones included, and of the free ones.
+say (as DEFORM's evaluation does, which is given these), and at rest, told the first alone. Errors are mean absolute ones per coordinate
+over the whole recording, of all markers, driven ones included, and of the free ones.
 """
 
 from __future__ import annotations
