@@ -65,6 +65,8 @@ class Laws:
             solid=_solid(self),
             viscous=_viscous(self),
             **fuse_material(self),
+            membrane=_of_sheet(self, "membrane"),
+            plate=_of_sheet(self, "plate"),
             body=_body(self),
             surface=_surface(self),
             touch=_touch(self)[0],
@@ -163,6 +165,24 @@ def _plus_viscous(before, law, offset):
     @wp.func
     def total(deformed: Any, rate: Any, p: Any):
         return before(deformed, rate, p) + law(deformed, rate, p, offset)
+
+    return total
+
+
+def _of_sheet(laws, stage):
+    @wp.func
+    def total(strain: Any, rate: Any, p: Any):
+        return type(strain)()
+
+    for term, offset in laws.stage(stage):
+        total = _plus_of_sheet(total, term.law, offset)
+    return total
+
+
+def _plus_of_sheet(before, law, offset):
+    @wp.func
+    def total(strain: Any, rate: Any, p: Any):
+        return before(strain, rate, p) + law(strain, rate, p, offset)
 
     return total
 

@@ -10,9 +10,10 @@ from .cells import point_sites, reach
 from .facets import enclosed
 from .hinges import FOLD
 from .materials import point_twin
+from .sheets import internal_forces as sheet_forces
 from .solids import internal_forces
 from .system import System
-from .terms.base import CELLS
+from .terms.base import CELLS, SHEETS
 
 __all__ = ["stable_rounds", "stable_step", "stable_substeps"]
 
@@ -44,6 +45,9 @@ def stable_step(system: System) -> float:
     A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by power iteration, with all that
     alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
+    A sheet adds the largest eigenvalue of its stiffness in the shape in which it starts, found in the same way, and that of its damping. What
+    stiffens as it is strained or bent is not in it.
+
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.
 
@@ -66,6 +70,7 @@ def stable_step(system: System) -> float:
         return math.inf
     lam = float((stiffness[inside] / system.masses[inside]).max()) + _fastest(system, free, "solid")
     mu = float((damping[inside] / system.masses[inside]).max())
+    lam, mu = lam + _sheet_fastest(system, free, damping=False), mu + _sheet_fastest(system, free, damping=True)
     for term in system.terms:
         if term.hardness is not None:
             hard = term.hardness(**term.values)
@@ -102,23 +107,54 @@ def _fastest(system, free, stage):
             return sum(t.twin(deformed, rate, **t.values) for t in terms)
         return point_twin(terms, deformed, rate, home, at, fresh, INSTANT)[0]
 
-    step, found = 1e-6 * system.grid.size.min(), 0.0
+    step = 1e-6 * system.grid.size.min()
+
+    def pull(way):
+        if stage == "viscous":
+            return internal_forces(system.grid, x, way, law, lateral=lateral)
+        small = step / np.abs(way).max()
+        ahead, behind = (
+            internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way)
+        )
+        return (ahead - behind) / (2 * small)
+
+    return _largest(pull, motion, root, free)
+
+
+def _largest(pull, motion, root, free):
+    """Largest eigenvalue of a stiffness or a damping over mass, ``root`` (N, 1) being its root; ``pull`` gives the forces of a motion."""
+    found = 0.0
     for _ in range(POWERS):
         motion /= np.linalg.norm(motion)
-        way = motion / root
-        if stage == "viscous":
-            force = internal_forces(system.grid, x, way, law, lateral=lateral)
-        else:
-            small = step / np.abs(way).max()
-            ahead, behind = (
-                internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way)
-            )
-            force = (ahead - behind) / (2 * small)
-        motion = np.where(free[:, None], -force / root, 0.0)
+        motion = np.where(free[:, None], -pull(motion / root) / root, 0.0)
         found = float(np.linalg.norm(motion))
         if not found:
             break
     return POWER_MARGIN * found
+
+
+def _sheet_fastest(system, free, *, damping):
+    """Largest eigenvalue [1/s^2, or 1/s of the ``damping``] of the free nodes' stiffness over mass, by a sheet's terms, as it starts."""
+    own = {stage: [t for t in system.terms if t.stage == stage] for stage in SHEETS}
+    if system.sheet is None or not any(own.values()):
+        return 0.0
+    x, free = system.positions, free[: system.particle_count]
+    motion = np.where(free[:, None], np.random.default_rng(0).normal(size=x.shape), 0.0)
+    step = 1e-6 * np.sqrt(system.sheet.areas.min())
+
+    def law(stage):
+        return lambda state, rate: sum((t.twin(state, rate, **t.values) for t in own[stage]), np.zeros_like(state))
+
+    def at(place, speed):
+        return sheet_forces(system.sheet, place, speed, law("membrane"), law("plate"))
+
+    def pull(way):
+        small = step / np.abs(way).max()
+        if damping:
+            return (at(x, small * way) - at(x, -small * way)) / (2 * small)
+        return (at(x + small * way, 0 * x) - at(x - small * way, 0 * x)) / (2 * small)
+
+    return _largest(pull, motion, np.sqrt(system.masses)[:, None], free)
 
 
 def stable_rounds(system: System, dt: float) -> int:

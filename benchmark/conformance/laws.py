@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from ...physics.terms.base import ARGUMENTS, CELLS, Term
+from ...physics.terms.base import ARGUMENTS, CELLS, SHEETS, Term
 from .checking import require
 
 __all__ = ["agree", "agree_in_memory", "evaluate", "random_inputs"]
@@ -95,6 +95,10 @@ def _kernel_of(term, stage):
         i = wp.tid()
         out[i] = law(a[i], b[i], p[i], wp.static(OFFSET))
 
+    def of_sheet(a: A, b: A, p: Ps, out: A):
+        i = wp.tid()
+        out[i] = law(a[i], b[i], p[i], wp.static(OFFSET))
+
     def strand(a: S, b: S, c: S, d: S, e: S, f: A, g: S, h: S, p: Ps, out: S):
         i = wp.tid()
         out[i] = law(a[i], b[i], c[i], d[i], e[i], f[i], g[i], h[i], p[i], wp.static(OFFSET))
@@ -143,6 +147,7 @@ def _kernel_of(term, stage):
 
     stages = dict(axial=axial, strand=strand, evolve=evolve, hinge=hinge, facet=facet, solid=solid, viscous=viscous, body=body)
     stages |= dict(growth=growth, flow=flow, material=material, branch=branch, recall=recall)
+    stages |= dict.fromkeys(SHEETS, of_sheet)
     stages |= dict(surface=surface, touch=touch, settle=settle, grip=grip, observer=observer, velocity=velocity, contact=contact, move=move)
     return wp.kernel(stages[stage], module="unique", enable_backward=False), P
 
@@ -177,6 +182,8 @@ def random_inputs(stage, rng):
         known = dict(deformed=deformed, rate=10 * rate, stress=stress, home=x[0], at=x[0], mu=positive[0], lame=positive[1])
         known |= dict(q=(q + np.swapaxes(q, 1, 2)) / 2, dt=0.1 * positive[2])
         return [known[name] for name in ARGUMENTS[stage]]
+    if stage in SHEETS:  # strains, or curvatures that are as sharp as a hand, with their rates
+        return [0.2 * x[0] if stage == "membrane" else 30.0 * x[0], 10 * v[0]]
     if stage == "facet":
         return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
     if stage == "touch":
