@@ -231,6 +231,7 @@ def _structs(R, vec, vectors):
         panel_of: wp.array(dtype=wp.int32)  # 3 triangle + corner
         panel_side: wp.array2d(dtype=wp.int32)  # (F, 3) the fold across from each corner, or -1
         panel_area: wp.array(dtype=R)  # (F,) m^2
+        bent_area: wp.array(dtype=R)  # (F,) m^2, for which its curvature stands
         flattened: wp.array2d(dtype=R)  # (F, 4) 1/m, the inverse of a triangle's edges at rest, row by row
         curving: wp.array2d(dtype=vec)  # (F, 3) 1/m, curvature per angle of each side
         fold_start: wp.array(dtype=wp.int32)  # (B+1,) first fold of each system

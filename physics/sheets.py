@@ -7,7 +7,8 @@ Its curvature is linear in the angles at its sides, beyond those at rest: that o
 out flat, whose linear interpolant is folded by these angles. So a constant curvature is met exactly on every mesh, however it lies. (A
 stiffness at each edge, as in Grinspun et al., "Discrete shells", 2003, depends on how the mesh lies; ``results/continuum.md`` has the
 figures. On a lattice this is their shape operator averaged over a triangle: Grinspun et al., "Computing discrete shape operators on general
-meshes", 2006.) At a free edge fewer angles are known, and the curvature is that of least energy.
+meshes", 2006.) Along the rim fewer angles are known: there the curvature is that of the neighbours inside, or that of least energy where
+there are none.
 
 Symmetric tensors in a triangle's plane are written (11, 22, 12), as vectors of three.
 """
@@ -100,6 +101,23 @@ class Sheet:
                     pair = [length[frozenset((end, o)), face] for end in (a, b)]
                     beyond[k] = _beyond(self.corners[f, k - 2], self.corners[f, k - 1], *pair)
             found[f] = _curving(self.corners[f], beyond)
+        return found
+
+    @cached_property
+    def bent_areas(self) -> np.ndarray:
+        """(F,) m^2 for which a triangle's curvature stands: its own, and that of neighbours on the rim that can do without theirs."""
+        whole, found = (self.sides >= 0).all(1), self.areas.copy()
+        beside = [[] for _ in self.folds]
+        for f, sides in enumerate(self.sides.tolist()):
+            for h in sides:
+                if h >= 0:
+                    beside[h].append(f)
+        for f in np.flatnonzero(~whole):
+            inner = [[g for g in beside[h] if whole[g]] for h in self.sides[f] if h >= 0]
+            if inner and all(inner):
+                found[f] = 0.0
+                for (g,) in inner:
+                    found[g] += self.areas[f] / len(inner)
         return found
 
     def masses(self, density: float, count: int) -> np.ndarray:
@@ -234,7 +252,7 @@ def internal_forces(sheet: Sheet, x, v, membrane: Callable, plate: Callable) -> 
         turning = (slope * v[sheet.folds]).sum((1, 2))
         here = sheet.sides >= 0
         kappa, rate = (np.einsum("fck,fk->fc", sheet.curving, np.where(here, q[sheet.sides], 0.0)) for q in (angle, turning))
-        work = sheet.areas[:, None] * np.einsum("fck,fc->fk", sheet.curving, plate(kappa, rate) * TWICE)
+        work = sheet.bent_areas[:, None] * np.einsum("fck,fc->fk", sheet.curving, plate(kappa, rate) * TWICE)
         moment = np.bincount(sheet.sides[here], work[here], len(sheet.folds))
         np.add.at(force, sheet.folds, -moment[:, None, None] * slope)
     return force
@@ -266,6 +284,7 @@ def assemble_sheets(systems, starts, count: int) -> tuple[dict[str, np.ndarray],
     integers |= dict(fold=fold, fold_start=start(lambda s: len(s.folds)), fold_row=fold_row, fold_of=fold_of, beside=beside)
     reals = dict(
         panel_area=joined([s.areas for s, _ in here]),
+        bent_area=joined([s.bent_areas for s, _ in here]),
         flattened=joined([s.inverse.reshape(-1, 4) for s, _ in here], 4),
         curving=joined([np.swapaxes(s.curving, 1, 2) for s, _ in here], 3, 3),
         rest_angle=joined([s.rest_angles for s, _ in here]),

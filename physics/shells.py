@@ -100,7 +100,7 @@ def make_shells(kit):
                 if h >= 0:
                     kappa += w.curving[f, c] * w.angle[h, 0]
                     rate += w.curving[f, c] * w.angle[h, 1]
-            m = plate(kappa, rate, p_plate) * w.panel_area[f]
+            m = plate(kappa, rate, p_plate) * w.bent_area[f]
             twice = vec(m[0], m[1], m[2] + m[2])
             for c in range(w.panel_side.shape[1]):
                 w.panel_moment[f, c] = wp.dot(twice, w.curving[f, c])
@@ -238,6 +238,7 @@ def make_back_shells(kit):
                     kappa += w.curving[f, c] * w.angle[h, 0]
                     rate += w.curving[f, c] * w.angle[h, 1]
                     change += w.curving[f, c] * a.angle[h]
+            area = w.bent_area[f]
             gk, gr, gp_plate, gd = wp.grad(plate_dot)(kappa, rate, p_plate, change)
             for c in range(w.panel_side.shape[1]):
                 a.panel_angle[f, c, 0] = wp.dot(gk, w.curving[f, c]) * -area

@@ -127,7 +127,7 @@ def test_curvature_of_a_cylinder(name, way):
     density = (kappa**2 @ [1.0, 1.0, 2.0]) / 25
     inner = here.all(1)
     np.testing.assert_allclose(density[inner], 1, rtol=0.01)
-    assert (sheet.areas @ density) / sheet.areas.sum() == pytest.approx(1, rel=0.05)
+    assert (sheet.bent_areas @ density) / sheet.areas.sum() == pytest.approx(1, rel=0.05)
 
 
 def test_a_sphere_bends_both_ways():
@@ -160,12 +160,8 @@ def test_a_patch_of_constant_strain_is_exact():
     force = forces(system, points @ a.T, np.zeros((len(points), 3)))
     np.testing.assert_allclose(force[inner], 0, atol=1e-12)
     right = points[:, 0] > 0.1 - 1e-6  # traction P N times the side's length, resisted from inside
-    np.testing.assert_allclose(force[right].sum(0), -(a @ stress @ [1.0, 0.0]) * 0.1 - _ends(a, stress), atol=1e-12)
-
-
-def _ends(a, stress):
-    """What the two corners of that side get of the sides beside it: half a pitch of the upper and of the lower one, which cancel."""
-    return np.zeros(3)
+    # what the sides beside it pull at its two corners is opposite
+    np.testing.assert_allclose(force[right].sum(0), -(a @ stress @ [1.0, 0.0]) * 0.1, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -186,8 +182,7 @@ def test_a_strip_under_tension(term, per_width):
     path = x[None, held] * [stretch, 1, 1] + np.zeros((31, 1, 1))
     path[0] = x[held]
     path[1:5] = x[held] * (1 + np.linspace(0.25, 1, 4)[:, None, None] * [stretch - 1, 0, 0])
-    # ends may narrow: only a node in the middle of each is held across; rollers are what the strip's ends need
-    system = cut(x, triangles, term, LinearDrag({"drag_damping": 30.0}), held=held, path=path)
+    system = cut(x, triangles, term, LinearDrag({"drag_damping": 20.0}), held=held, path=path)
     end = Batch([system], fps=30, double=True).rollout().positions[0][-1].numpy()
     middle = end[np.abs(points[:, 0] - 0.06) < 0.011]
     reach = middle[:, 0].max() - middle[:, 0].min()
@@ -246,8 +241,8 @@ def test_free_motion_keeps_energy_and_momentum():
     # work that forces did; semi-implicit steps let it swing by omega dt, here within 2 %
     system = replace(draped(), terms=[Membrane({"membrane_stiffness": 20.0}), PlateBending({"plate_rigidity": 1e-3})])
     system = replace(system, controllers=np.zeros((1, 0, 3)), grips=None)
-    batch = Batch([system], fps=2000, substeps=20, double=True)
-    out, _, v = batch.march(0, 200)
+    batch = Batch([system], fps=2000, substeps=10, double=True)
+    out, _, v = batch.march(0, 100)
     out = np.concatenate([system.positions[None], out.numpy()])
     momentum = system.masses @ v.numpy()
     np.testing.assert_allclose(momentum, system.masses @ system.velocities, atol=1e-15)
@@ -262,7 +257,7 @@ def test_free_motion_keeps_energy_and_momentum():
 
 
 def heavy_elastica(length, rigidity, weight):
-    """(x, -z) of the tip of a strip clamped level: B a'' = -w (L - s) cos a with a(0) = 0, a'(L) = 0, a downwards (Bickley 1934)."""
+    """(x, how far down) of the tip of a strip clamped level: B a'' = -w (L - s) cos a with a(0) = 0, a'(L) = 0, a downwards (Bickley 1934)."""
     s = np.linspace(0, length, 200)
 
     def slope(s, y):
@@ -270,50 +265,49 @@ def heavy_elastica(length, rigidity, weight):
 
     solved = solve_bvp(slope, lambda a, b: np.array([a[0], b[1], a[2], a[3]]), s, np.zeros((4, len(s))), tol=1e-8, max_nodes=20000)
     assert solved.success
-    return solved.sol(length)[2], -solved.sol(length)[3] * -1
+    return solved.sol(length)[2:]
 
 
 @pytest.mark.parametrize("name", MESHES)
 def test_peirces_cantilever(name):
-    # w L^3 / B = 10: the tip hangs 0.64 L below the clamp. Ten triangles along the strip; tip within 3 % of the length
-    length, rigidity = 0.1, AREAL * G * 0.1**3 / 10
-    points, triangles = lattice((length + 0.01, 0.03), 0.01, **MESHES[name])
-    points = points - [0.01, 0.0]
+    # w L^3 / B = 10: the tip hangs 0.7 L below the clamp. Folds stand for the curvature around them, so the strip is clamped half a cell
+    # behind the last held nodes; with 20 cells along it, and 3 % of energy missing along the rim, within 3 % of the length
+    length, pitch = 0.2, 0.01
+    rigidity = AREAL * G * length**3 / 10
+    points, triangles = lattice((length + pitch, 0.06), pitch, **MESHES[name])
+    points = points - [pitch, 0.0]
     held = np.flatnonzero(points[:, 0] < 1e-6)
-    given = [Membrane({"membrane_stiffness": 100.0}), PlateBending({"plate_rigidity": rigidity}), LinearDrag({"drag_damping": 15.0})]
+    given = [Membrane({"membrane_stiffness": 200.0}), PlateBending({"plate_rigidity": rigidity}), LinearDrag({"drag_damping": 10.0})]
     system = cut(flat(points), triangles, *given, Gravity({"gravity_z": -G}), held=held)
-    out = Batch([system], fps=2, substeps=int(0.5 / (0.5 * stable_step(system)))).march(0, 6)[0].numpy()
+    out = Batch([system], fps=2, substeps=int(0.5 / (0.8 * stable_step(system)))).march(0, 5)[0].numpy()
     tip = out[-1][points[:, 0] > length - 1e-6].mean(0)
     assert np.abs(out[-1] - out[-2]).max() < 1e-4  # at rest
-    x, fallen = heavy_elastica(length, rigidity, AREAL * G)
-    assert abs(fallen) > 0.05
-    assert tip[0] == pytest.approx(x, abs=0.03 * length) and -tip[2] == pytest.approx(abs(fallen), abs=0.03 * length)
+    x, fallen = heavy_elastica(length + pitch / 2, rigidity, AREAL * G)
+    assert fallen > 0.6 * length
+    assert tip[0] + pitch / 2 == pytest.approx(x, abs=0.03 * length) and -tip[2] == pytest.approx(fallen, abs=0.03 * length)
 
 
 def test_a_cantilever_rings_and_is_damped():
-    # first mode: omega = 3.516 sqrt(B / rho) / L^2; with the damping time t = c / B it decays by exp(-omega^2 t / 2 s). Half a decay is seen
-    length, rigidity = 0.1, 2e-3
-    omega = 3.516 * np.sqrt(rigidity / AREAL) / length**2
-    tau = 2 * 0.05 / omega
-    points, triangles = lattice((length + 0.01, 0.02), 0.01)
-    points = points - [0.01, 0.0]
+    # first mode: omega = 3.516 sqrt(B / rho) / L^2; with the damping time t = c / B it decays by exp(-omega^2 t / 2 s). Clamped as above;
+    # 3 % of energy missing along the rim are 1.5 % of omega, and masses in the nodes about as much
+    length, pitch, rigidity, ratio = 0.2, 0.01, 2e-3, 0.05
+    omega = 3.516 * np.sqrt(rigidity / AREAL) / (length + pitch / 2) ** 2
+    points, triangles = lattice((length + pitch, 0.06), pitch, turn=30.0)
+    points = points - [pitch, 0.0]
     held = np.flatnonzero(points[:, 0] < 1e-6)
-    given = [Membrane({"membrane_stiffness": 200.0}), PlateBending({"plate_rigidity": rigidity})]
-    given += [PlateDamping({"plate_viscosity": rigidity * tau})]
-    x = flat(points)
-    s = np.maximum(points[:, 0], 0) / length
+    given = [Membrane({"membrane_stiffness": 100.0}), PlateBending({"plate_rigidity": rigidity})]
+    given += [PlateDamping({"plate_viscosity": rigidity * 2 * ratio / omega})]
+    s = np.maximum(points[:, 0] + pitch / 2, 0) / (length + pitch / 2)
     shape = np.cosh(1.8751 * s) - np.cos(1.8751 * s) - 0.7341 * (np.sinh(1.8751 * s) - np.sin(1.8751 * s))
-    system = cut(x, triangles, *given, held=held, velocities=0.02 * shape[:, None] * [0, 0, 1])
+    system = cut(flat(points), triangles, *given, held=held, velocities=0.01 * shape[:, None] * [0, 0, 1])
     period = 2 * np.pi / omega
-    tip = np.argmax(points[:, 0])
-    z = Batch([system], fps=100 / period, substeps=60).march(0, 250)[0].numpy()[:, tip, 2]
-    times = (1 + np.arange(250)) / 100  # periods
+    z = Batch([system], fps=50 / period).march(0, 120)[0].numpy()[:, np.argmax(points[:, 0]), 2]
+    times = (1 + np.arange(120)) / 50  # periods
     crossing = np.flatnonzero((z[1:] > 0) != (z[:-1] > 0))
-    at = times[crossing] + z[crossing] / (z[crossing] - z[crossing + 1]) / 100
-    assert np.diff(at)[:4].mean() == pytest.approx(0.5, rel=0.05)
-    peaks = [np.abs(z[(times > k / 2) & (times < k / 2 + 0.5)]).max() for k in range(4)]
-    # chords for arcs at both ends of the first cell, as the frequency
-    assert np.log(peaks[0] / peaks[3]) / 1.5 == pytest.approx(2 * np.pi * 0.05, rel=0.1)
+    at = times[crossing] + z[crossing] / (z[crossing] - z[crossing + 1]) / 50
+    assert np.diff(at)[:3].mean() == pytest.approx(0.5, rel=0.05)
+    peaks = [np.abs(z[(times > k / 2) & (times < (k + 1) / 2)]).max() for k in range(4)]
+    assert np.log(peaks[0] / peaks[3]) / 1.5 == pytest.approx(2 * np.pi * ratio, rel=0.1)
 
 
 def test_natural_shape_is_at_rest():
