@@ -69,7 +69,7 @@ def case_row(folder: str, case: str, seed: int = 0) -> dict:
     row = dict(set=root.name, case=case, effect=label["effect"], moved=1e3 * label["displacement_transfer"], seconds=time.process_time())
     method, config = Continuum(), Continuum.presets["quick"]
     sound = method.fitted([home.observed()], config, seed=seed)
-    extra, amounts, fixed = told(label, sound.scene.grid.axes)
+    extra, amounts, fixed = told(label, sound.scene.body.grid.axes)
     knowing = method.fitted(
         [home.observed()],
         replace(config, starts=2),

@@ -13,7 +13,7 @@ from ..physics.system import System
 from ..physics.topology import object_springs, rope_hinges, sheet_hinges
 from .hands import hand_ties, rope_exits
 from .matching import material_coordinates
-from .ropes import apart, marked_chains, rope_chains
+from ..methods.continuum.chains import apart, marked_chains, rope_chains
 from .sightings import Sightings, middles, sight_markers, sight_nodes
 from .skins import facets_of
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed
 from twinbench.diagnosis.model import Simulator
 from twinbench.diagnosis.replica import build_replica
-from twinbench.diagnosis.ropes import apart, marked_chains, rope_chains
+from twinbench.methods.continuum.chains import apart, marked_chains, rope_chains
 from twinbench.physics.terms import AddedMass
 
 

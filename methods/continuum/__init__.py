@@ -1,16 +1,14 @@
-"""Twins as continua: a few global parameters of a body of finite elements, in an embedded grid, fitted to recordings.
+"""Twins as continua: a few global parameters of a body of finite elements, solid cells or rods, fitted to recordings.
 
-Foam, plush, rubber: a body is told from the points of frame 0, gridded, held by hands that may be a little elsewhere than they are said to
-be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how well sound twins can predict each
-part of a motion. ``results/continuum.md`` says what it is worth.
+Foam, plush, rubber, ropes: a body is told from the points of frame 0, cut into elements, held by hands that may be a little elsewhere than
+they are said to be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how well sound twins
+can predict each part of a motion. ``results/continuum.md`` says what it is worth.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import ClassVar
-
-import numpy as np
 
 from ..base import Method
 from .config import Config
@@ -19,7 +17,7 @@ __all__ = ["METHODS", "Continuum"]
 
 
 class Continuum(Method):
-    """Neo-Hookean and viscous, with Coulomb friction on the ground."""
+    """Solids neo-Hookean and viscous, ropes that resist stretch, bending and twist, with Coulomb friction on the ground."""
 
     name = "continuum"
     presets: ClassVar = {
@@ -38,32 +36,26 @@ class Continuum(Method):
 
     def fitted(self, observed, config: Config, *, seed=0, device="cpu", progress=None, **told):
         """The twin of ``observed`` by ``config``; ``told`` goes to ``estimate``: further terms, values that are known."""
-        from .body import body_of
         from .estimate import estimate, own_values
-        from .scene import Scene
+        from .joint import placed, scenes_of
         from .twin import ContinuumTwin, posterior_of
 
-        chosen = np.unique(np.linspace(0, len(observed) - 1, min(config.recordings, len(observed))).astype(int))
-        used = [observed[k] for k in chosen]
-        bodies = [body_of(one, kind="solid") for one in used]
-        if config.pitch != 1.0:
-            pitches = [config.pitch * float(body.grid.size.mean()) for body in bodies]
-            bodies = [body_of(one, kind="solid", pitch=pitch) for one, pitch in zip(used, pitches, strict=True)]
-        scenes = [Scene.of(one, body) for one, body in zip(used, bodies, strict=True)]
+        used, scenes, body = scenes_of(observed, config, seed=seed)
         found = estimate(used, scenes, config, seed=seed, device=device, progress=progress, **told)
         values = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
-        scene = replace(scenes[0], notes=(*scenes[0].notes, *_said(found)))
-        return ContinuumTwin(scene, values, tuple(told.get("extra", ())), posterior_of(found), device)
+        scene = placed(observed[0], body, config)
+        scene = replace(scene, notes=(*scene.notes, *_said(found)))
+        return ContinuumTwin(
+            scene, values, tuple(told.get("extra", ())), posterior_of(found), device, "rest" if scene.speeds is None else "frames"
+        )
 
     def skip(self, scenario) -> str | None:
-        from .body import body_of
+        from .bodies import bodies_of
         from .hands import hands_of
 
         seen = scenario.observed() if hasattr(scenario, "observed") else scenario
         try:
-            body = body_of(seen, kind=None)
-            if body.kind != "solid":
-                return f"a {body.kind}: cells are for solids"
+            bodies_of([seen])
             hands_of(seen)
         except ValueError as error:
             return str(error)

@@ -17,7 +17,9 @@ class Config:
     starts      of the search, spread over the priors
     iterations  of the search, at most, which is made in larger cells, and of the ``refinement`` in those of ``pitch``
     coarse      how many times as large cells are in the search
-    recordings  that are fitted jointly, at most
+    recordings  that are fitted jointly, at most; None: as many as suit the kind of body
+    seconds     of each that are fitted, from any frame in which the whole body is known; None: as suits the kind, or all
+    start       how a recording starts: at "rest", as its first two "frames" say where they are known, or "auto": at rest if it looks so
     frames      observed frames of each that are fitted, or None: all
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
     grips       whether what hands hold is fitted
@@ -28,7 +30,13 @@ class Config:
     iterations: int = 8
     refinement: int = 4
     coarse: float = 1.5
-    recordings: int = 3
+    recordings: int | None = None
+    seconds: float | None = None
+    start: str = "rest"
     frames: int | None = None
     members: int = 8
     grips: bool = True
+
+    def __post_init__(self):
+        if self.start not in ("rest", "frames", "auto"):
+            raise ValueError(f"start must be 'rest', 'frames' or 'auto', got {self.start!r}")

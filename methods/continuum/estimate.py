@@ -12,7 +12,9 @@ from ...physics.terms.base import Term
 from .config import Config
 from .fitting import Steps, fit
 from .predictability import predictability
+from .problem import posed
 from .result import Fit
+from .robust import StudentT
 from .scene import REACH, SHIFT, Scene
 from .simulate import Simulator
 from .unknowns import Unknown, members
@@ -23,7 +25,6 @@ ROUGH = 4.0  # times their noise, by which tracks are heard before it is known w
 LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
-APART = 4.0  # times as stiff, from one start to the next
 MOMENT = 0.1  # s: frames so near say the same
 
 
@@ -64,20 +65,15 @@ def jitter(points, seen) -> float:
 def unknowns_of(scenes: Sequence[Scene], config: Config) -> list[Unknown]:
     """What is fitted of the material, and of each hand of each recording (``rec<r>_grip<k>_...``).
 
-    Priors: foams and rubbers from 1 kPa to 1 MPa at 100 kg/m^3; damping times of a few ms; a hand is where it is said to be to 5 mm.
+    Priors: those of the kind of body, friction, and that a hand is where it is said to be to 5 mm.
     """
-    log = np.log
-    found = [
-        Unknown("youngs_modulus", 3e4, 3e2, 3e6, "Pa", "log", prior=(log(3e4), log(5.0))),
-        Unknown("damping_time", 0.005, 5e-4, 0.05, "s", "log", prior=(log(0.006), log(2.0))),
-        Unknown("poisson", 0.3, 0.05, 0.45, "-", prior=(0.3, 0.07)),
-        Unknown("drag_damping", 0.4, 0.02, 5.0, "1/s", "log", prior=(log(0.4), log(2.0))),
-    ]
+    log, body = np.log, scenes[0].body
+    found = body.unknowns([scene.body for scene in scenes])
     if any(scene.ground is not None for scene in scenes):
         found.append(Unknown("coulomb_friction", 0.5, 0.05, 2.0, "-", "log", prior=(log(0.5), 0.5)))
     for r, scene in enumerate(scenes):
-        for k, hand in enumerate(scene.hands):
-            if config.grips and len(hand.points):
+        for k in range(len(scene.hands)):
+            if config.grips and k in scene.soft:
                 at = f"rec{r}_grip{k}"
                 found += [Unknown(f"{at}_shift_{axis}", 0.0, -SHIFT, SHIFT, "m", prior=(0.0, 0.005)) for axis in "xyz"]
                 found.append(Unknown(f"{at}_reach", 1.0, 1 / REACH, REACH, "-", "log", prior=(0.0, 0.3)))
@@ -112,6 +108,7 @@ def estimate(
     """
     task = Task.of(recordings, scenes, config, tuple(extra), extra_unknowns, fixed or {}, device)
     coarse = task.coarser(recordings, config.coarse)
+    kind, bodies = type(scenes[0].body), [scene.body for scene in scenes]
 
     def told(stage, begin, share, iterations):
         def tell(iteration, cost, _values):
@@ -128,7 +125,7 @@ def estimate(
         coarse.simulate,
         task.data,
         rough,
-        starts=_starts(task.unknowns, config.starts),
+        starts=_scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts),
         steps=search,
         progress=told("search", 0.0, 0.5, config.iterations),
         **options,
@@ -163,8 +160,9 @@ class Task:
 
     def coarser(self, recordings, times: float) -> Task:
         """The same in cells ``times`` as large."""
-        regridded = [replace(s, scene=s.scene.regridded(one, times)) for s, one in zip(self.simulators, recordings, strict=True)]
-        return replace(self, simulators=tuple(regridded))
+        pairs = zip(self.simulators, recordings, strict=True)
+        found = [replace(s, scene=replace(s.scene, body=s.scene.body.coarser(one, times))) for s, one in pairs]
+        return replace(self, simulators=tuple(found))
 
     @property
     def data(self) -> np.ndarray:
@@ -195,23 +193,14 @@ class Task:
         return self.predict([dict(zip([u.name for u in self.unknowns], row, strict=True)) for row in values])
 
 
-def _starts(unknowns, count) -> np.ndarray:
-    """(count, n) values: the usual ones, and bodies that are softer and stiffer by turns, which no search finds from far away."""
-    rows = []
-    for k in range(count):
-        power = (k + 1) // 2 * (1 if k % 2 else -1)
-        rows.append([min(max(u.value * APART**power, u.low), u.high) if u.name == "youngs_modulus" else u.value for u in unknowns])
-    return np.unique(np.array(rows), axis=0)
-
-
 def _spread(found, task, coarse, count, seed):
     """(R,) m, what sound twins of the same recordings are off that no choice of the unknowns absorbs.
 
     Members differ in grips, damping, drag and friction as far as priors allow; one is the same twin in other cells.
     """
     jacobian, reference = _jacobian(found, coarse.simulate)
-    unknowns = task.unknowns
-    ranges = [replace(u, prior=(found.scaled[k], u.prior[1])) for k, u in enumerate(unknowns) if u.prior and _is_nuisance(u.name)]
+    unknowns, kind = task.unknowns, type(task.simulators[0].scene.body)
+    ranges = [replace(u, prior=(found.scaled[k], u.prior[1])) for k, u in enumerate(unknowns) if u.prior and _is_nuisance(u.name, kind)]
     rows = [found.values | row for row in members(ranges, count, seed=seed)]
     runs = np.concatenate([coarse.predict(rows), task.predict([found.values])])
     block = np.concatenate([_blocks(s, r) for r, s in enumerate(task.sights)])
@@ -222,8 +211,8 @@ def _spread(found, task, coarse, count, seed):
     return known.spread
 
 
-def _is_nuisance(name: str) -> bool:
-    return "grip" in name or name in ("poisson", "drag_damping", "damping_time", "coulomb_friction")
+def _is_nuisance(name: str, kind) -> bool:
+    return "grip" in name or name in (*kind.nuisances, "coulomb_friction")
 
 
 def _jacobian(found: Fit, simulate):
@@ -246,3 +235,14 @@ def _blocks(sight: Sight, record: int):
     places = np.nan_to_num(sight.points[0])
     label = kmeans2(places, min(REGIONS, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
     return np.tile(np.repeat(record * REGIONS + label, 3), len(sight.points))
+
+
+def _scouted(task: Task, starts, rough, count: int):
+    """The ``count`` likeliest of ``starts`` (K, n), which are run once."""
+    if len(starts) <= count:
+        return starts
+    problem, seen = posed(task.unknowns, task.data, rough, StudentT(), task.independent)
+    runs = task.simulate(starts)[:, seen]
+    scaled = [[u.encode(v) for u, v in zip(task.unknowns, row, strict=True)] for row in starts]
+    costs = [problem.place(np.array(s), run).cost for s, run in zip(scaled, runs, strict=True)]
+    return starts[np.argsort(costs)[:count]]

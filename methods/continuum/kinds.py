@@ -12,7 +12,7 @@ import numpy as np
 
 from .inside import Inside, inside_of
 
-__all__ = ["KINDS", "growth_of", "kind_of", "length_and_width"]
+__all__ = ["KINDS", "farthest_ways", "growth_of", "kind_of", "length_and_width"]
 
 KINDS = ("rope", "sheet", "solid")
 SLENDER = 16.0  # a plush bar is up to 8 times as long as wide, a cord 40 times; a slab 8 times as wide as thick, a cloth 60 times
@@ -56,14 +56,8 @@ def length_and_width(points, spacing: float) -> tuple[float, float]:
 
     A slice of a body that branches, or lies beside itself, has several strands; each counts by itself.
     """
-    from scipy.sparse.csgraph import dijkstra
-
     points = np.asarray(points, float)
-    graph = _neighbours(points)
-    ends = [0]
-    for _ in range(3):  # to and fro, until the far end is found
-        way = dijkstra(graph, directed=False, indices=ends[-1])
-        ends.append(int(way.argmax()))
+    way = farthest_ways(points)
     length = float(way.max())
     step = max(length / SLICES, 1.5 * spacing)
     number = (way / step).astype(int)
@@ -75,6 +69,18 @@ def length_and_width(points, spacing: float) -> tuple[float, float]:
     order = np.argsort(widths)
     middle = np.searchsorted(np.cumsum(np.array(weights)[order]), sum(weights) / 2)
     return length, float(np.array(widths)[order][middle])
+
+
+def farthest_ways(points) -> np.ndarray:
+    """(M,) m, the way to each of ``points`` (M, 3) from one end of the body, from neighbour to neighbour."""
+    from scipy.sparse.csgraph import dijkstra
+
+    points = np.asarray(points, float)
+    graph, end = _neighbours(points), 0
+    for _ in range(3):  # to and fro, until the far end is found
+        way = dijkstra(graph, directed=False, indices=end)
+        end = int(way.argmax())
+    return way
 
 
 def _across(strand, *, way_step):

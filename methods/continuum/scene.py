@@ -8,23 +8,16 @@ from functools import cached_property
 import numpy as np
 
 from ...datasets.scenario import Observed, Plane
-from ...physics.grids import Grid
-from ...physics.points import Points, material_points
-from .body import SolidBody, body_of
-from .config import DENSITY
+from ...physics.points import Points
+from .bodies import Body
 from .hands import FINGER, SOFT, Hand, frames_of, hands_of, steadied
 from .held import falloff
 
-__all__ = ["REACH", "Grasp", "Scene", "posed"]
+__all__ = ["REACH", "Grasp", "Scene"]
 
 REACH = 2.0  # times the usual radius of a grip, at most, that is fitted
 SAME = 1e-9  # m: controllers that start where the recording's do
 SHIFT = 0.015  # m, at most, that the place of a grip is off
-
-
-def posed(grid: Grid, rotation, shift) -> Grid:
-    """``grid`` moved rigidly: x -> rotation @ x + shift."""
-    return replace(grid, origin=rotation @ grid.origin + shift, axes=grid.axes @ rotation.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,17 +32,15 @@ class Grasp:
 class Scene:
     """Lengths in m, in the room of the recording.
 
-    grid       of the body in frame 0, where it is at rest; ``surface`` (S, 3) points of its skin and their ``area`` [m^2]
-    structure  (M, 3) the recording's points in frame 0, ``counts`` of tracked, surface and interior ones
+    body       in frame 0, where it is at rest
     hands      as they move in the recording, ``controllers`` (T, C, 3) and ``grips`` (C,) as in it; ``radius`` of a grip
     gravity    (3,) m/s^2; ground or None; fps
+    counts     of tracked, surface and interior structure points
+    speeds     (M, 3) m/s of the structure points in frame 0, or None: at rest
     """
 
     name: str
-    grid: Grid
-    surface: np.ndarray
-    area: float
-    structure: np.ndarray
+    body: Body
     counts: tuple[int, int, int]
     hands: tuple[Hand, ...]
     controllers: np.ndarray
@@ -58,44 +49,55 @@ class Scene:
     gravity: np.ndarray
     ground: Plane | None
     fps: float
+    speeds: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, recording: Observed, body: SolidBody) -> Scene:
-        """The scene of a recording and its body; raises ValueError where a hand holds nothing though it comes near the body."""
-        return cls.in_grid(recording, body.grid, body.surface, body.area, body.notes)
+    def of(cls, recording: Observed, body: Body, *, speeds: np.ndarray | None = None) -> Scene:
+        """The scene of a recording and its body, which moves at ``speeds`` (M, 3) m/s in frame 0, or is at rest.
 
-    @classmethod
-    def in_grid(cls, recording: Observed, grid: Grid, surface, area: float, notes=()) -> Scene:
-        """The scene of a recording whose body fills ``grid`` in frame 0."""
+        Raises ValueError where a hand holds nothing though it comes near the body.
+        """
         radius = max(SOFT * recording.spacing, FINGER)
         hands = hands_of(recording, radius=radius)
-        known = dict(structure=recording.structure, counts=recording.counts, controllers=recording.controllers, grips=recording.grips)
-        known |= dict(gravity=recording.gravity, ground=_below(recording.ground, surface), fps=recording.fps)
-        notes = (*notes, *(n for hand in hands for n in hand.notes))
-        return cls(recording.name, grid, surface, area, hands=hands, radius=radius, notes=notes, **known)
+        known = dict(counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity)
+        known |= dict(ground=_below(recording.ground, body), fps=recording.fps)
+        known |= dict(speeds=speeds)
+        notes = (*body.notes, *(n for hand in hands for n in hand.notes))
+        return cls(recording.name, body, hands=hands, radius=radius, notes=notes, **known)
 
-    def regridded(self, recording: Observed, times: float) -> Scene:
-        """The same in cells ``times`` as large."""
-        return replace(self, grid=body_of(recording, kind="solid", pitch=times * float(self.grid.size.mean())).grid)
+    @property
+    def structure(self) -> np.ndarray:
+        """(M, 3) m, the recording's points in frame 0."""
+        return self.body.structure
 
     @cached_property
+    def velocities(self) -> np.ndarray | None:
+        """(N, 3) m/s of the nodes in frame 0, or None: at rest."""
+        return None if self.speeds is None else self.body.moving(self.speeds)
+
+    @property
     def points(self) -> Points:
         """The material points, nobody holding them yet."""
-        return material_points(self.grid, DENSITY, self.surface, self.area)
+        return self.body.points
 
     @cached_property
-    def embedding(self) -> tuple[np.ndarray, np.ndarray]:
-        """(nodes (M, 8), weights (M, 8)) that carry the structure points."""
-        return self.grid.locate(self.structure)
+    def driven(self) -> np.ndarray:
+        """(C,) the node that a controller is, which it moves as it moves itself, or -1."""
+        return np.where(self.grips >= 0, self.body.markers[self.grips], -1)
+
+    @cached_property
+    def soft(self) -> tuple[int, ...]:
+        """The hands that hold points of the body softly: those with something in them that is more than nodes that they are."""
+        return tuple(k for k, hand in enumerate(self.hands) if len(hand.points) and (self.driven[hand.controllers] < 0).any())
 
     @cached_property
     def grips_at(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
         """(places (k, 3) m of each hand, radii (H,) m): a hand holds what is within its radius of any of its places.
 
-        One place for a hand that is near the body: the middle of the material beside its controllers, and the radius of the ball that what
-        it was seen to hold fills: of what is spread evenly in a ball the RMS distance from its middle is sqrt(3 / 5) of the radius. Driven
-        markers are places themselves.
+        One place for a hand that is near the body, in the material beside its controllers, and the radius of the ball that what it was seen
+        to hold fills: of what is spread evenly in a ball of n dimensions the mean square distance from its middle is n / (n + 2) of the
+        radius squared. Driven markers are places themselves.
         """
         from scipy.spatial import cKDTree
 
@@ -107,10 +109,11 @@ class Scene:
                 places.append(at)
                 continue
             near = falloff(cKDTree(at).query(home)[0], self.radius)
-            places.append((near @ home / near.sum() if near.sum() > 0 else hand.centre[0])[None])
+            places.append(self.body.held_middle(hand.centre[0], near)[None])
             if len(hand.points):
                 held, share = self.structure[hand.points], hand.firmness / hand.firmness.sum()
-                radii[k] = max(0.5 * self.radius, np.sqrt(share @ ((held - share @ held) ** 2).sum(1) / 0.6))
+                spread = share @ ((held - share @ held) ** 2).sum(1)
+                radii[k] = max(0.5 * self.radius, np.sqrt((1 + 2 / self.body.dimensions) * spread))
         return tuple(places), radii
 
     @cached_property
@@ -121,7 +124,7 @@ class Scene:
         if not len(self.hands):
             return Grasp(inside[:0], np.zeros(0, int))
         apart = np.array([_apart(home, at) for at in places])
-        holds = np.array([len(hand.points) > 0 for hand in self.hands])
+        holds = np.isin(np.arange(len(self.hands)), self.soft)
         within = (apart < 1.5 * REACH * radii[:, None] + SHIFT) & holds[:, None]
         nearest = np.where(within, apart / radii[:, None], np.inf)
         kept = np.flatnonzero(within.any(0))
@@ -135,9 +138,14 @@ class Scene:
             found[own] = falloff(_apart(self.points.home[self.grasp.points[own]], at + shift[k]), reach[k] * radii[k])
         return found
 
-    def carried(self, hands=None) -> np.ndarray:
-        """(T, n, 3) m, where ``hands`` (the recording's own unless given) carry the points of the grasp."""
-        hands = self.hands if hands is None else hands
+    def paths(self, controllers=None) -> np.ndarray:
+        """(T, D + n, 3) m, where ``controllers`` (the recording's own unless given) move D driven nodes and n points of the grasp."""
+        hands = self.hands if controllers is None else self.led(controllers)
+        controllers = self.controllers if controllers is None else controllers
+        return np.concatenate([controllers[:, self.driven >= 0], self.carried(hands)[-len(controllers) :]], 1)
+
+    def carried(self, hands) -> np.ndarray:
+        """(T, n, 3) m, where ``hands`` carry the points of the grasp."""
         home = self.points.home[self.grasp.points]
         path = np.repeat(home[None], len(hands[0].centre) if hands else len(self.controllers), 0)
         for k, hand in enumerate(hands):
@@ -169,8 +177,8 @@ def _from(start: Hand, hand: Hand) -> Hand:
     return replace(hand, rotation=np.concatenate([first[0], hand.rotation]), centre=np.concatenate([first[1], hand.centre]))
 
 
-def _below(ground: Plane | None, surface) -> Plane | None:
-    """The ground, as low as the lowest of the surface: a table that is reported too high would throw the body up."""
+def _below(ground: Plane | None, body: Body) -> Plane | None:
+    """The ground that the body's surface points meet, as low as the lowest of them: one that is reported too high would throw it up."""
     if ground is None:
         return None
-    return Plane(ground.normal, min(ground.offset, float((surface @ ground.normal).min())))
+    return Plane(ground.normal, min(ground.offset + body.standoff, float((body.surface @ ground.normal).min())))

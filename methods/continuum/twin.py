@@ -11,18 +11,16 @@ import numpy as np
 
 from ...datasets.scenario import Observed, Plane
 from ...physics import terms
-from ...physics.grids import Grid
 from ...physics.terms.base import Term
 from ..base import Diverged, Trajectory, Twin
-from ..registration import align, rigid_transform
-from .body import body_of
+from .bodies import class_of
+from .config import Config
 from .hands import Hand
-from .scene import REACH, Scene, posed
+from .joint import placed
+from .scene import REACH, Scene
 from .simulate import Simulator
 
 __all__ = ["ContinuumTwin"]
-
-ALIKE = 0.1  # of a body's size, RMS: frame 0 of another recording that is farther from the rest shape is taken for the rest shape itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +35,7 @@ class ContinuumTwin(Twin):
     extra: tuple[Term, ...] = ()
     posterior: dict = field(default_factory=dict)
     device: str = "cpu"
+    start: str = "rest"  # or as the first two "frames" of a recording say, where they are known
     looks_ahead = True  # how far a controller is trusted depends on all of its path
 
     @property
@@ -52,7 +51,7 @@ class ContinuumTwin(Twin):
         scene = self.scene
         if controllers.ndim != 3 or controllers.shape[1:] != scene.controllers.shape[1:]:
             raise ValueError(f"controllers must have shape (T, {scene.controllers.shape[1]}, 3), got {controllers.shape}")
-        path = self.simulator.run([self.values], len(controllers), scene.led(controllers))[0]
+        path = self.simulator.run([self.values], len(controllers), controllers)[0]
         bad = ~np.isfinite(path).all((1, 2))
         if bad.any():
             raise Diverged(f"the simulation blew up in frame {bad.argmax()}", int(bad.argmax()))
@@ -63,25 +62,13 @@ class ContinuumTwin(Twin):
     def retarget(self, target: Observed) -> ContinuumTwin:
         """The same body and material in ``target``'s frame 0, held by its hands there.
 
-        The rest shape is moved rigidly to where the target's points lie; where they are shaped otherwise it is taken from them instead.
-        Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance.
+        Of ``target`` only frame 0 and the controllers are looked at, and frame 1 where its start is told by it: what hands hold there is
+        told by distance.
         """
-        scene, target = self.scene, _initial(target)
-        outer = sum(scene.counts[:2])
-        cloud = target.structure[: sum(target.counts[:2])]
-        laid = align(scene.structure, cloud, surface=outer)
-        apart = np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2))
-        if apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0)):
-            rotation, shift = rigid_transform(scene.structure, laid)
-            grid, surface, area = posed(scene.grid, rotation, shift), scene.surface @ rotation.T + shift, scene.area
-            notes = ()
-        else:
-            body = body_of(target, kind="solid", pitch=float(scene.grid.size.mean()))
-            grid, surface, area = body.grid, body.surface, body.area
-            notes = ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
-        there = Scene.in_grid(target, grid, surface, area, notes)
+        scene, config = self.scene, Config(start=self.start)
+        there = placed(_initial(target), scene.body.laid(_initial(target)), config, target)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
-        wide = [self.values.get(f"grip{k}_reach", 1.0) * radius for k, radius in enumerate(scene.grips_at[1]) if len(scene.hands[k].points)]
+        wide = [self.values.get(f"grip{k}_reach", 1.0) * radius for k, radius in enumerate(scene.grips_at[1]) if k in scene.soft]
         if wide:  # hands hold as much there as they were found to hold here
             typical = float(np.exp(np.mean(np.log(wide))))
             values |= {f"grip{k}_reach": float(np.clip(typical / r, 1 / REACH, REACH)) for k, r in enumerate(there.grips_at[1])}
@@ -90,17 +77,19 @@ class ContinuumTwin(Twin):
     def save(self, folder: Path) -> None:
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        scene, grid = self.scene, self.scene.grid
-        arrays = {f"grid_{f.name}": getattr(grid, f.name) for f in fields(Grid)}
-        arrays |= {name: getattr(scene, name) for name in ("surface", "structure", "controllers", "grips", "gravity")}
+        scene = self.scene
+        arrays = {f"body_{name}": value for name, value in scene.body.arrays().items()}
+        arrays |= {name: getattr(scene, name) for name in ("controllers", "grips", "gravity")}
+        if scene.speeds is not None:
+            arrays["speeds"] = scene.speeds
         for k, hand in enumerate(scene.hands):
             arrays |= {f"hand{k}_{f.name}": getattr(hand, f.name) for f in fields(Hand) if f.name not in ("turns", "notes")}
-        state = {name: getattr(scene, name) for name in ("name", "area", "counts", "radius", "fps", "notes")}
+        state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "notes")}
+        state |= dict(kind=scene.body.kind, body_notes=scene.body.notes)
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
-        state |= dict(
-            values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior, device=self.device
-        )
+        state |= dict(values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior)
+        state |= dict(device=self.device, start=self.start)
         np.savez_compressed(folder / "twin.npz", **arrays)
         (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
 
@@ -110,17 +99,18 @@ class ContinuumTwin(Twin):
         state = json.loads((folder / "twin.json").read_text(encoding="utf-8"))
         with np.load(folder / "twin.npz", allow_pickle=False) as file:
             arrays = dict(file)
-        grid = Grid(**{f.name: arrays[f"grid_{f.name}"] for f in fields(Grid)})
+        parts = {name.removeprefix("body_"): value for name, value in arrays.items() if name.startswith("body_")}
+        body = class_of(state["kind"]).restored(parts, tuple(state["body_notes"]))
         hands = []
         for k, (turns, notes) in enumerate(zip(state["turns"], state["hand_notes"], strict=True)):
             own = {f.name: arrays[f"hand{k}_{f.name}"] for f in fields(Hand) if f.name not in ("turns", "notes")}
             hands.append(Hand(**own, turns=turns, notes=tuple(notes)))
         ground = None if state["ground"] is None else Plane(np.array(state["ground"][:3]), state["ground"][3])
-        known = {name: arrays[name] for name in ("surface", "structure", "controllers", "grips", "gravity")}
-        known |= {name: state[name] for name in ("name", "area", "radius", "fps")}
-        scene = Scene(grid=grid, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
+        known = {name: arrays[name] for name in ("controllers", "grips", "gravity")} | {"speeds": arrays.get("speeds")}
+        known |= {name: state[name] for name in ("name", "radius", "fps")}
+        scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
-        return cls(scene, state["values"], extra, state["posterior"], state["device"])
+        return cls(scene, state["values"], extra, state["posterior"], state["device"], state["start"])
 
 
 def posterior_of(estimate) -> dict:
@@ -140,9 +130,3 @@ def _initial(recording: Observed) -> Observed:
     """``recording`` with nothing observed after frame 0."""
     first = {name: getattr(recording, name)[:1] for name in ("points", "visible", "motion_valid")}
     return replace(recording, **first, colors=None if recording.colors is None else recording.colors[:1])
-
-
-def _nearest(points, cloud):
-    from scipy.spatial import cKDTree
-
-    return cKDTree(cloud).query(points)[0]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import exp, isfinite, log
+from math import ceil, exp, isfinite, log
 
 import numpy as np
 
-__all__ = ["Unknown", "members", "spread"]
+__all__ = ["Unknown", "members", "rounded_up", "spread"]
 
 
 @dataclass(frozen=True)
@@ -117,3 +117,8 @@ def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:
     power = max(0, int(np.ceil(np.log2(count))))  # the first points of a longer sequence, which is even in powers of two only
     tiny = np.finfo(float).eps
     return np.clip(qmc.Sobol(dimensions, scramble=True, seed=seed).random_base2(power)[:count], tiny, 1 - tiny)
+
+
+def rounded_up(value: float, step: float = 0.1) -> float:
+    """``value`` > 0 rounded up to a power of 1 + ``step``, 0 to 0: steps that are chosen by it stay the same in a search."""
+    return (1 + step) ** ceil(log(value) / log(1 + step) - 1e-9) if value > 0 else 0.0

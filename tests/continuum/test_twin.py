@@ -11,6 +11,7 @@ from twinbench.methods.continuum.config import Config
 from twinbench.methods.continuum.estimate import Sight, estimate, jitter, own_values
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
+from twinbench.methods.continuum.solids import Solid
 from twinbench.methods.continuum.twin import ContinuumTwin
 
 SIZE, FRAMES, TRUE = np.array([0.12, 0.04, 0.03]), 14, dict(youngs_modulus=8e3, damping_time=0.01)
@@ -46,7 +47,7 @@ def lifted(points=None) -> Observed:
 
 
 def scene_of(recording, pitch=0.02):
-    return Scene.of(recording, body_of(recording, kind="solid", pitch=pitch))
+    return Scene.of(recording, Solid.told(recording, body_of(recording, kind="solid", pitch=pitch)))
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,157 @@
+"""What a scene, a simulator and a fit ask of a body, whatever it is made of: cells, rods or sheets. One file for each kind."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from ...datasets.scenario import Observed
+from ...physics.points import Points
+from ...physics.terms.base import Term
+from .body import SolidBody, body_of
+from .config import Config
+from .start import start_velocity
+from .unknowns import Unknown
+
+__all__ = ["Body", "bodies_of", "class_of"]
+
+
+class Body(ABC):
+    """A body in frame 0 of a recording, cut into nodes. Lengths in m, in the room; all numbers of its material are values of a fit.
+
+    kind       as ``kinds`` tells it
+    structure  (M, 3) the recording's points in frame 0, which ``followed`` finds again
+    surface    (S, 3) its skin: the ground is no higher than the lowest of it
+    notes      what was completed or assumed, a sentence each
+    """
+
+    kind: ClassVar[str]
+    dimensions: int = 3  # of what a hand takes hold of: a ball of it, a disk or a length
+    standoff: float = 0.0  # m, from its surface points to where it touches the ground
+    recordings: int = 3  # that are fitted jointly, at most, unless a config says
+    seconds: float = np.inf  # of each
+    structure: np.ndarray
+    surface: np.ndarray
+    notes: tuple[str, ...]
+
+    # ---------------------------------------------------------------- made
+
+    @classmethod
+    @abstractmethod
+    def of(cls, recording: Observed, told: SolidBody, times: float = 1.0) -> Body:
+        """The body of a recording, from what ``body_of`` told of it, ``times`` as coarse as usual. ValueError where it cannot be made."""
+
+    @classmethod
+    def joined(cls, bodies: Sequence[Body], recordings: Sequence[Observed]) -> Sequence[Body]:
+        """``bodies``, of recordings of one object, with what they must have in common; the same unless a kind says more."""
+        return bodies
+
+    def coarser(self, recording: Observed, times: float) -> Body:
+        """The same body ``times`` as coarse."""
+        return self
+
+    @abstractmethod
+    def laid(self, target: Observed) -> Body:
+        """The same body in frame 0 of another recording, of which nothing later is looked at."""
+
+    # ---------------------------------------------------------------- simulated
+
+    @property
+    @abstractmethod
+    def positions(self) -> np.ndarray:
+        """(N, 3) m, the nodes."""
+
+    @property
+    @abstractmethod
+    def points(self) -> Points:
+        """Material points on the nodes, nobody holding them: with mass where there is material, with area where there is skin."""
+
+    @property
+    def markers(self) -> np.ndarray:
+        """(M,) the node that a structure point is, or -1: a driven marker that is a node is moved as it was, not pulled along."""
+        return np.full(len(self.structure), -1)
+
+    def held_middle(self, hand: np.ndarray, near: np.ndarray) -> np.ndarray:
+        """(3,) m, around where a hand whose controllers' middle is at ``hand`` (3,) holds the points that have mass, ``near`` (P,) it."""
+        home = self.points.home[self.points.masses > 0]
+        return near @ home / near.sum() if near.sum() > 0 else hand
+
+    @property
+    @abstractmethod
+    def parts(self) -> dict:
+        """What else a ``System`` of it is made of, by its fields: a grid; or springs, hinges and chains."""
+
+    @property
+    @abstractmethod
+    def terms(self) -> list[Term]:
+        """The laws of its material and of the air; gravity, ground and hands are the scene's."""
+
+    @abstractmethod
+    def complete(self, values: dict[str, float]) -> dict[str, float]:
+        """``values`` of a fit and what follows from them, by the names of the terms' parameters."""
+
+    @abstractmethod
+    def stiffest(self, values: dict[str, float]) -> dict[str, float]:
+        """Complete ``values`` rounded up, such that a search keeps its substeps: what stability is asked of."""
+
+    @abstractmethod
+    def followed(self, path: np.ndarray) -> np.ndarray:
+        """(T, M, 3) m, the structure points while the nodes go along ``path`` (T, N, 3)."""
+
+    def speeds(self, recording: Observed) -> np.ndarray:
+        """(M, 3) m/s of the structure points in frame 0, from the recording's first two frames."""
+        return start_velocity(recording)
+
+    def moving(self, speeds: np.ndarray) -> np.ndarray:
+        """(N, 3) m/s of the nodes in frame 0 where the structure points move at ``speeds`` (M, 3)."""
+        raise ValueError(f"a {self.kind} can only start at rest")
+
+    # ---------------------------------------------------------------- fitted
+
+    @classmethod
+    @abstractmethod
+    def unknowns(cls, bodies: Sequence[Body]) -> list[Unknown]:
+        """What is fitted of the material that ``bodies`` have in common."""
+
+    @classmethod
+    @abstractmethod
+    def starts(cls, bodies: Sequence[Body], recordings: Sequence[Observed], unknowns: Sequence[Unknown], config: Config) -> np.ndarray:
+        """(K, n) values of ``unknowns`` from which a search begins."""
+
+    nuisances: ClassVar[tuple[str, ...]] = ()  # values by which sound twins differ: nobody needs to know them exactly
+
+    # ---------------------------------------------------------------- kept
+
+    @abstractmethod
+    def arrays(self) -> dict[str, np.ndarray]:
+        """All of it but the notes, for a file."""
+
+    @classmethod
+    @abstractmethod
+    def restored(cls, arrays: dict[str, np.ndarray], notes: tuple[str, ...]) -> Body:
+        """What ``arrays`` was of."""
+
+
+def class_of(kind: str) -> type[Body]:
+    """The class of a kind of body; raises ValueError for a kind that no twin is made of."""
+    from .rods import Rod
+    from .solids import Solid
+
+    known = {made.kind: made for made in (Solid, Rod)}
+    if kind not in known:
+        raise ValueError(f"a {kind}: bodies are made of {', '.join(sorted(known))}")
+    return known[kind]
+
+
+def bodies_of(recordings: Sequence[Observed], *, kind: str | None = None, times: float = 1.0) -> Sequence[Body]:
+    """The bodies of recordings of one object: of the kind that the first one shows unless it is said.
+
+    times  how many times as coarse as usual. Raises ValueError where no body can be made.
+    """
+    told = [body_of(recordings[0], kind=kind)]
+    told += [body_of(one, kind=told[0].kind) for one in recordings[1:]]
+    made = class_of(told[0].kind)
+    return made.joined([made.of(one, body, times) for one, body in zip(recordings, told, strict=True)], recordings)
