@@ -138,9 +138,10 @@ class Body(ABC):
 def class_of(kind: str) -> type[Body]:
     """The class of a kind of body; raises ValueError for a kind that no twin is made of."""
     from .rods import Rod
+    from .sheets import Cloth
     from .solids import Solid
 
-    known = {made.kind: made for made in (Solid, Rod)}
+    known = {made.kind: made for made in (Solid, Rod, Cloth)}
     if kind not in known:
         raise ValueError(f"a {kind}: bodies are made of {', '.join(sorted(known))}")
     return known[kind]
