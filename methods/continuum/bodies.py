@@ -121,6 +121,7 @@ class Body(ABC):
     def starts(cls, bodies: Sequence[Body], recordings: Sequence[Observed], unknowns: Sequence[Unknown], config: Config) -> np.ndarray:
         """(K, n) values of ``unknowns`` from which a search begins."""
 
+    grip_share: ClassVar[float] = 1.0  # of the usual radius of a grip: fingertips pinch a sheet in less
     nuisances: ClassVar[tuple[str, ...]] = ()  # values by which sound twins differ: nobody needs to know them exactly
 
     # ---------------------------------------------------------------- kept

@@ -25,7 +25,7 @@ AREAL_DENSITY = 0.2  # kg/m^2 of every sheet: without a told mass only ratios to
 GRAVITY = 9.81  # m/s^2, that makes lengths and rigidities comparable, wherever the sheet is
 NODES = 220  # 15 along the side of a square: folds as sharp as a tenth of it are several triangles long
 USUAL_LENGTH = 0.02  # m, the bending length (B / weight per area)^(1/3) of a common fabric
-MEMBRANE = 80.0  # N/m: a sheet of half a metre hangs longer by 1 %; less does not show, and asks for shorter steps
+MEMBRANE = 40.0  # N/m: a sheet of half a metre hangs longer by 2 %; much less does not show, and asks for shorter steps
 RATTLE = 1e-4  # s, damping time of stretch: its waves die out within some ten substeps
 STIFFNESSES = (0.05, 0.3, 2.0, 10.0)  # times the usual rigidity, from which searches start
 FEWEST = 20  # points that tell a sheet
@@ -44,6 +44,7 @@ class Cloth(Body):
     kind = "sheet"
     nuisances = ("plate_time", "plate_drag", "drag_damping", "membrane_stiffness")
     standoff = 0.0
+    grip_share = 0.6
     recordings = 4
     seconds = np.inf
 
@@ -108,10 +109,17 @@ class Cloth(Body):
 
     @cached_property
     def points(self) -> Points:
-        count = len(self.nodes)
-        masses = self.sheet.masses(AREAL_DENSITY, count)
-        one, free = np.ones((count, 1)), np.full(count, -1)
-        return Points(np.arange(count)[:, None], one, self.nodes, masses, masses / AREAL_DENSITY, free, np.zeros(count))
+        """Mass in the middles of edges, which integrate quadratics, near enough to each other for a smooth grip; the skin at nodes."""
+        count, sheet = len(self.nodes), self.sheet
+        sides = np.sort(np.concatenate([sheet.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
+        edges, which = np.unique(sides, axis=0, return_inverse=True)
+        inside = np.bincount(which.ravel(), np.tile(AREAL_DENSITY * sheet.areas / 3, 3))
+        nodes = np.concatenate([edges, np.repeat(np.arange(count)[:, None], 2, 1)])
+        weights = np.concatenate([np.full(edges.shape, 0.5), np.tile([1.0, 0.0], (count, 1))])
+        areas = np.concatenate([np.zeros(len(edges)), sheet.masses(1.0, count)])
+        home = np.einsum("pk,pki->pi", weights, self.nodes[nodes])
+        masses = np.concatenate([inside, np.zeros(count)])
+        return Points(nodes, weights, home, masses, areas, np.full(len(nodes), -1), np.zeros(len(nodes)))
 
     @property
     def parts(self) -> dict:
@@ -128,8 +136,8 @@ class Cloth(Body):
 
     def complete(self, values):
         known = {"membrane_stiffness": MEMBRANE, "plate_rigidity": self.usual, "plate_time": 0.01, "plate_drag": 0.7, **values}
-        known |= dict(plate_viscosity=known["plate_rigidity"] * known["plate_time"], membrane_viscosity=known["membrane_stiffness"] * RATTLE)
-        return known
+        plate, membrane = known["plate_rigidity"], known["membrane_stiffness"]
+        return known | dict(plate_viscosity=plate * known["plate_time"], membrane_viscosity=membrane * RATTLE)
 
     def stiffest(self, values):
         names = ("membrane_stiffness", "membrane_viscosity", "plate_rigidity", "plate_viscosity")
@@ -159,7 +167,7 @@ class Cloth(Body):
         return [
             Unknown("plate_rigidity", usual, 0.01 * usual, 100 * usual, "N m", "log", prior=(log(usual), log(5.0))),
             Unknown("plate_time", 0.01, 5e-4, 0.1, "s", "log", prior=(log(0.01), log(3.0))),
-            Unknown("membrane_stiffness", MEMBRANE, 8.0, 300.0, "N/m", "log", prior=(log(MEMBRANE), log(2.5))),
+            Unknown("membrane_stiffness", MEMBRANE, 4.0, 300.0, "N/m", "log", prior=(log(MEMBRANE), log(3.0))),
             Unknown("plate_drag", 0.7, 0.02, 10.0, "kg/m^3", "log", prior=(log(0.7), log(2.5))),
             Unknown("drag_damping", 0.1, 0.005, 3.0, "1/s", "log", prior=(log(0.1), log(3.0))),
         ]
