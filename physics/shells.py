@@ -72,7 +72,9 @@ def make_shells(kit):
         l = slot * w.nodes + w.fold[h, 3]
         angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, l))
         w.angle[h, 0] = angle - w.rest_angle[h]
-        w.angle[h, 1] = wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, l))
+        w.angle[h, 1] = (
+            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, l))
+        )
         w.slope[h, 0] = ga
         w.slope[h, 1] = gb
         w.slope[h, 2] = gc
@@ -147,7 +149,21 @@ def make_back_shells(kit):
 
     @wp.func
     def crease_dot(
-        a: vec, b: vec, c: vec, d: vec, va: vec, vb: vec, vc: vec, vd: vec, ta: vec, tb: vec, tc: vec, td: vec, on: R, on_rate: R, on_change: R
+        a: vec,
+        b: vec,
+        c: vec,
+        d: vec,
+        va: vec,
+        vb: vec,
+        vc: vec,
+        vd: vec,
+        ta: vec,
+        tb: vec,
+        tc: vec,
+        td: vec,
+        on: R,
+        on_rate: R,
+        on_change: R,
     ):
         angle, ga, gb, gc, gd = creased(a, b, c, d)
         rate = wp.dot(ga, va) + wp.dot(gb, vb) + wp.dot(gc, vc) + wp.dot(gd, vd)
@@ -201,7 +217,9 @@ def make_back_shells(kit):
         l = slot * w.nodes + w.fold[h, 3]
         angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, l))
         w.angle[h, 0] = angle - w.rest_angle[h]
-        w.angle[h, 1] = wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, l))
+        w.angle[h, 1] = (
+            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, l))
+        )
         change = wp.dot(ga, a.force[slot % 2, w.fold[h, 0]]) + wp.dot(gb, a.force[slot % 2, w.fold[h, 1]])
         a.angle[h] = change + wp.dot(gc, a.force[slot % 2, w.fold[h, 2]]) + wp.dot(gd, a.force[slot % 2, w.fold[h, 3]])
 

@@ -170,7 +170,10 @@ def draped(*kinds, seed=0):
         controllers=points[held] + np.linspace(0, 0.02, FRAMES)[:, None, None],
         grips=held,
         sheet=sheet,
-        terms=[k({p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES}) for k in dict.fromkeys((Gravity, Membrane, PlateBending, *kinds))],
+        terms=[
+            k({p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES})
+            for k in dict.fromkeys((Gravity, Membrane, PlateBending, *kinds))
+        ],
     )
 
 
