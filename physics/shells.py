@@ -14,7 +14,7 @@ FLAT = 1.0e-12  # m^2: less than a face
 
 
 def shell_functions(kit):
-    """(creased, sides, plane, read): pure functions that both ways share, and what reads a triangle's tangents."""
+    """(creased, tangents, spread, strained, changed): what both ways share."""
     R, vec, World = kit.R, kit.vec, kit.World
 
     @wp.func
@@ -59,7 +59,7 @@ def shell_functions(kit):
 
 def make_shells(kit):
     """(crease, panel, draped): leave a fold's angle; leave a triangle's forces and moments; what a node gets of them."""
-    R, vec, World, get_x, get_v = kit.R, kit.vec, kit.World, kit.get_x, kit.get_v
+    vec, World, get_x, get_v = kit.vec, kit.World, kit.get_x, kit.get_v
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     load_membrane, load_plate = kit.load["membrane"], kit.load["plate"]
     creased, tangents, spread, strained, changed = shell_functions(kit)
@@ -69,11 +69,11 @@ def make_shells(kit):
         i = slot * w.nodes + w.fold[h, 0]
         j = slot * w.nodes + w.fold[h, 1]
         k = slot * w.nodes + w.fold[h, 2]
-        l = slot * w.nodes + w.fold[h, 3]
-        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, l))
+        o = slot * w.nodes + w.fold[h, 3]
+        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, o))
         w.angle[h, 0] = angle - w.rest_angle[h]
         w.angle[h, 1] = (
-            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, l))
+            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, o))
         )
         w.slope[h, 0] = ga
         w.slope[h, 1] = gb
@@ -126,7 +126,7 @@ def make_shells(kit):
 
 
 def make_back_shells(kit):
-    """(back_crease, back_panel, back_fold, redraped): a fold's angle again, with its change by the adjoints of the forces; the adjoints of a
+    """(back_crease, back_panel, back_fold, redraped): a fold's angle again, with its change by the adjoints of forces; the adjoints of a
     triangle and of a fold; what a node gets of them.
     """
     R, vec, World, Adjoint, get_x, get_v = kit.R, kit.vec, kit.World, kit.Adjoint, kit.get_x, kit.get_v
@@ -181,16 +181,16 @@ def make_back_shells(kit):
         i = slot * w.nodes + w.fold[h, 0]
         j = slot * w.nodes + w.fold[h, 1]
         k = slot * w.nodes + w.fold[h, 2]
-        l = slot * w.nodes + w.fold[h, 3]
+        o = slot * w.nodes + w.fold[h, 3]
         xa, xb, xc, xd, va, vb, vc, vd, _a, _b, _c, _d, _on, _rate, _change = wp.grad(crease_dot)(
             get_x(w.state, i),
             get_x(w.state, j),
             get_x(w.state, k),
-            get_x(w.state, l),
+            get_x(w.state, o),
             get_v(w.state, i),
             get_v(w.state, j),
             get_v(w.state, k),
-            get_v(w.state, l),
+            get_v(w.state, o),
             a.force[slot % 2, w.fold[h, 0]],
             a.force[slot % 2, w.fold[h, 1]],
             a.force[slot % 2, w.fold[h, 2]],
@@ -214,11 +214,11 @@ def make_back_shells(kit):
         i = slot * w.nodes + w.fold[h, 0]
         j = slot * w.nodes + w.fold[h, 1]
         k = slot * w.nodes + w.fold[h, 2]
-        l = slot * w.nodes + w.fold[h, 3]
-        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, l))
+        o = slot * w.nodes + w.fold[h, 3]
+        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, o))
         w.angle[h, 0] = angle - w.rest_angle[h]
         w.angle[h, 1] = (
-            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, l))
+            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, o))
         )
         change = wp.dot(ga, a.force[slot % 2, w.fold[h, 0]]) + wp.dot(gb, a.force[slot % 2, w.fold[h, 1]])
         a.angle[h] = change + wp.dot(gc, a.force[slot % 2, w.fold[h, 2]]) + wp.dot(gd, a.force[slot % 2, w.fold[h, 3]])

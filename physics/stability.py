@@ -45,8 +45,8 @@ def stable_step(system: System) -> float:
     A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by power iteration, with all that
     alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
-    A sheet adds the largest eigenvalue of its stiffness in the shape in which it starts, found in the same way, and that of its damping. What
-    stiffens as it is strained or bent is not in it.
+    A sheet adds the largest eigenvalue of its stiffness in the shape in which it starts, found in the same way, and that of its damping.
+    What stiffens as it is strained or bent is not in it.
 
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.

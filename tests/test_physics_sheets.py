@@ -39,7 +39,7 @@ def lattice(size, pitch, *, turn=0.0, even=False):
     angle = np.radians(turn)
     base = base @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     inside = ((base > 0.3 * pitch) & (base < np.array(size) - 0.3 * pitch)).all(1)
-    steps = [np.linspace(0, s, int(round(s / pitch)) + 1) for s in size]
+    steps = [np.linspace(0, s, round(s / pitch) + 1) for s in size]
     rim = [(x, y) for x in steps[0] for y in (0, size[1])] + [(x, y) for y in steps[1][1:-1] for x in (0, size[0])]
     points = np.concatenate([base[inside] if turn or even else np.zeros((0, 2)), np.array(rim)])
     if not (turn or even):
@@ -117,8 +117,8 @@ def test_angles_and_their_gradients():
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("way", [0.0, 20.0, 45.0, 90.0])
 def test_curvature_of_a_cylinder(name, way):
-    # W = B k^2 / 2 per area, whichever way the mesh lies; pitch * k = 0.05, chords for arcs: (pitch k)^2 / 8 = 0.03 %; the quadratic surface
-    # through six points is met exactly, so what is left is that, and the rim, whose triangles know fewer angles
+    # W = B k^2 / 2 per area, whichever way the mesh lies; pitch * k = 0.05, chords for arcs: (pitch k)^2 / 8 = 0.03 %; the surface through
+    # six points is met exactly, so what is left is that, and the rim, whose triangles know fewer angles
     points, triangles = lattice((0.2, 0.15), 0.01, **MESHES[name])
     sheet = Sheet.of(flat(points), triangles)
     angle = fold_angles(rolled(points, 5.0, way)[sheet.folds])
@@ -257,7 +257,7 @@ def test_free_motion_keeps_energy_and_momentum():
 
 
 def heavy_elastica(length, rigidity, weight):
-    """(x, how far down) of the tip of a strip clamped level: B a'' = -w (L - s) cos a with a(0) = 0, a'(L) = 0, a downwards (Bickley 1934)."""
+    """(x, how far down) of the tip of a strip clamped level: B a'' = -w (L - s) cos a, a(0) = a'(L) = 0, a downwards (Bickley 1934)."""
     s = np.linspace(0, length, 200)
 
     def slope(s, y):

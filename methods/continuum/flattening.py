@@ -43,8 +43,8 @@ def flattened(points, tracks=None) -> np.ndarray:
     """(N, 2) m, where ``points`` (N, 3) of a sheet in frame 0 lie when it is laid out flat.
 
     One that lies in a plane already is seen from above. Of others, ways on the sheet from neighbour to neighbour are embedded in the plane
-    (Isomap; Tenenbaum, de Silva and Langford 2000), and then made as long as the links between neighbours are (stress majorisation; Gansner,
-    Koren and North 2004). Raises ValueError where the points are in pieces.
+    (Isomap; Tenenbaum, de Silva and Langford 2000), then made as long as the links between neighbours are (stress majorisation; Gansner,
+    Koren and North 2004). Raises ValueError for points in pieces.
     """
     points = np.asarray(points, float)
     links, lengths, layered = neighbours(points, tracks)

@@ -60,7 +60,7 @@ def located(flat, nodes, triangles) -> tuple[np.ndarray, np.ndarray]:
 
 
 def smoothed(flat, points, at, pitch: float) -> np.ndarray:
-    """(n, 3) m, where the sheet is at ``at`` (n, 2), told by ``points`` (N, 3) that lie at ``flat`` (N, 2): a quadratic through those nearby.
+    """(n, 3) m, where the sheet is at ``at`` (n, 2), by ``points`` (N, 3) that lie at ``flat`` (N, 2): a quadratic through those nearby.
 
     Moving least squares (Lancaster and Salkauskas 1981): noise of single points is no strain of the sheet.
     """

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -27,7 +28,9 @@ NODES = 220  # 15 along the side of a square: folds as sharp as a tenth of it ar
 USUAL_LENGTH = 0.02  # m, the bending length (B / weight per area)^(1/3) of a common fabric
 MEMBRANE = 40.0  # N/m: a sheet of half a metre hangs longer by 2 %; much less does not show, and asks for shorter steps
 RATTLE = 1e-4  # s, damping time of stretch: its waves die out within some ten substeps
-STIFFNESSES = (0.05, 0.3, 2.0, 10.0)  # times the usual rigidity, from which searches start
+RIGIDITIES = (0.1, 0.7, 5.0)  # times the usual one, from which searches start
+STIFFNESSES = (0.4, 1.5)  # likewise
+REACHES = (0.6, 1.2)  # of hands: how much of a cloth is pinched turns it, and no search finds that from far away
 FEWEST = 20  # points that tell a sheet
 
 
@@ -174,13 +177,12 @@ class Cloth(Body):
 
     @classmethod
     def starts(cls, bodies, recordings, unknowns, config: Config) -> np.ndarray:
-        """Limper and stiffer sheets."""
+        """Limper and stiffer sheets, pinched in more and in less."""
         rows = []
-        for times in STIFFNESSES:
-            row = {u.name: u.value for u in unknowns}
-            if "plate_rigidity" in row:
-                row["plate_rigidity"] = times * bodies[0].usual
-            rows.append([min(max(row[u.name], u.low), u.high) for u in unknowns])
+        for rigidity, stiffness, reach in product(RIGIDITIES, STIFFNESSES, REACHES):
+            tried = {"plate_rigidity": rigidity * bodies[0].usual, "membrane_stiffness": stiffness * MEMBRANE}
+            tried |= {u.name: reach for u in unknowns if u.name.endswith("_reach")}
+            rows.append([min(max(tried.get(u.name, u.value), u.low), u.high) for u in unknowns])
         return np.unique(np.array(rows), axis=0)
 
     # ---------------------------------------------------------------- kept

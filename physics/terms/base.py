@@ -62,8 +62,8 @@ declares ``hardness``, (stiffness / m [1/s^2], damping / m [1/s]) at given param
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, body, surface, touch, grip and observer terms, then
-v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
+Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, body, surface, touch, grip and observer
+terms, then v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace

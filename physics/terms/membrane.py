@@ -33,7 +33,7 @@ def in_plane_twin(strain, stiffness, poisson):
 
 
 class Membrane(Term):
-    """S = E h / (1 - nu^2) ((1 - nu) e + nu tr(e) 1), e Green's strain in the sheet's plane: St. Venant and Kirchhoff's law in plane stress.
+    """S = E h / (1 - nu^2) ((1 - nu) e + nu tr(e) 1), e Green's strain in the plane: St. Venant and Kirchhoff's law in plane stress.
 
     E is Young's modulus, h the thickness. A strip under tension T per width is longer by T / (E h) at small strains.
     """

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.continuum.bodies import class_of
 from twinbench.methods.continuum.config import Config
-from twinbench.methods.continuum.estimate import estimate, own_values
+from twinbench.methods.continuum.estimate import estimate
 from twinbench.methods.continuum.flattening import flattened, neighbours
 from twinbench.methods.continuum.meshing import located, meshed, smoothed
 from twinbench.methods.continuum.scene import Scene
@@ -158,14 +158,14 @@ def test_a_hand_lifts_the_corner_and_the_rest_follows(truth):
 
 def test_what_was_simulated_is_fitted(truth):
     # on the mesh that it was made on, from 0.5 mm of noise on 336 tracks in 16 frames: within a tenth, though four other numbers are free
-    recording, scene, path = truth
+    recording, scene, _ = truth
     found = estimate([recording], [scene], CONFIG, fixed={"plate_drag": 0.7, "drag_damping": 0.1})
     assert found.values["plate_rigidity"] == pytest.approx(TRUE["plate_rigidity"], rel=0.1)
 
 
 def test_another_mesh_moves_alike(truth):
     # drawn from other noise: nothing of it is the same but the cloth. Triangles of 2.5 cm part by millimetres where it buckles
-    recording, scene, path = truth
+    recording, _, path = truth
     there = Scene.of(recording, Cloth.drawn(recording, recording.points, 70))
     again = Simulator(there).run([TRUE], FRAMES)[0]
     assert np.sqrt(((again - path) ** 2).sum(2).mean()) < 5e-3
