@@ -1,8 +1,8 @@
 """Twins as continua: a few global parameters of a body of finite elements, cells, rods or triangles, fitted to recordings.
 
-Foam, plush, rubber, ropes, cloth: a body is told from the points of frame 0, cut into elements, held by hands that may be a little elsewhere
-than they are said to be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how well sound twins
-can predict each part of a motion. ``results/continuum.md`` says what it is worth.
+Foam, plush, rubber, ropes, cloth: a body is told from the points of frame 0, cut into elements, held by hands that may be a little
+elsewhere than they are said to be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how
+well sound twins can predict each part of a motion. ``results/continuum.md`` says what it is worth.
 """
 
 from __future__ import annotations
