@@ -21,6 +21,7 @@ from .native import barrier
 from .outside import make_back_outside
 from .paths import give_path, give_speed, speed
 from .rods_back import make_back_rods
+from .shells import make_back_shells
 from .skin import make_back_skin
 
 __all__ = ["make_backward"]
@@ -36,7 +37,8 @@ def make_backward(kit):
     load_viscous, load_body, load_observer, load_velocity = (load[s] for s in ("viscous", "body", "observer", "velocity"))
     load_contact, load_move = load["contact"], load["move"]
     skinned, filled, easing, branching = kit.skinned, kit.filled, kit.easing, kit.branching
-    pointed = kit.pointed
+    pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
+    back_crease, back_panel, back_fold, redraped = make_back_shells(kit) if draping else (None, None, None, None)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     back_meet, remet = make_back_outside(kit) if pointed else (None, None)
     back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (None, None, None)
@@ -123,6 +125,22 @@ def make_backward(kit):
                         back_strain(w, a, k, b, c, dt, p_solid)
                     round += 1
                     barrier(w.counters, team, blocks, round)
+            if wp.static(draping):
+                if k < count and w.panel_start[b + 1] > w.panel_start[b]:
+                    if wp.static(creasing):
+                        for h in range(w.fold_start[b] + lane, w.fold_start[b + 1], width):
+                            back_crease(w, a, k, h)
+                        round += 1
+                        barrier(w.counters, team, blocks, round)
+                    for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
+                        back_panel(w, a, k, b, q)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    if wp.static(creasing):
+                        for h in range(w.fold_start[b] + lane, w.fold_start[b + 1], width):
+                            back_fold(w, a, k, h)
+                        round += 1
+                        barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
                 if k < count:
                     for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
@@ -194,6 +212,11 @@ def make_backward(kit):
                         gx += resqueezed(w, a, i, 0)
                         if wp.static(branching):  # whose rates are of the velocities at the substep's start
                             gv += resqueezed(w, a, i, 8)
+                if wp.static(draping):
+                    if k < count:
+                        px, py = redraped(w, a, i)
+                        gx += px
+                        gv += py
                 if wp.static(pointed):
                     if k < count:
                         mx, mv = remet(w, a, i)

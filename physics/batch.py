@@ -20,6 +20,7 @@ from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .native import WARP
 from .outside import assemble_points
 from .resident import engine_for
+from .sheets import assemble_sheets
 from .stability import stable_rounds, stable_substeps
 from .system import System
 
@@ -171,9 +172,11 @@ class Batch:
         points, outside = assemble_points(systems, start, [i[s.particle_count :] for i, s in zip(indices, systems, strict=True)], count)
         self.point_starts = points["point_start"]
         solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
+        sheets, drape = assemble_sheets(systems, start, count)
+        self.panel_starts, self.fold_count = sheets["panel_start"], len(sheets["fold"])
         real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
-        self.constants |= {k: self._real(v) for k, v in {**real, **solid}.items()}
-        self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells, **points}.items()}
+        self.constants |= {k: self._real(v) for k, v in {**real, **solid, **drape}.items()}
+        self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells, **sheets, **points}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
         # of what a segment's roll gives to the hinge before it, and after: where it stands, and whose it is
         around = [(2 * s + side, bent["ends"][s, side]) for side in (0, 1) for s in [np.flatnonzero(bent["ends"][:, side] >= 0)]]

@@ -9,6 +9,7 @@ from .outside import make_outside
 from .paths import along, speed
 from .quads import QUAD
 from .rods import make_rods
+from .shells import make_shells
 from .skin import make_skin
 
 __all__ = ["HELD_MASS", "make_forward", "node_functions", "recalling", "sighting"]
@@ -82,7 +83,8 @@ def make_forward(kit):
     load_viscous, load_body, load_observer, load_velocity = (load[s] for s in ("viscous", "body", "observer", "velocity"))
     load_contact, load_move = load["contact"], load["move"]
     hinged, skinned, filled, easing = kit.hinged, kit.skinned, kit.filled, kit.easing
-    pointed = kit.pointed
+    pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
+    crease, panel, draped = make_shells(kit) if draping else (None, None, None)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     meet, met_points = make_outside(kit) if pointed else (None, None)
     strain, drag, squeezed = make_cells(kit) if filled or easing else (None, None, None)
@@ -209,6 +211,17 @@ def make_forward(kit):
                         strain(w, here, there, b, c, dt, p_solid)
                     round += 1
                     barrier(w.counters, team, blocks, round)
+            if wp.static(draping):
+                if w.panel_start[b + 1] > w.panel_start[b]:
+                    if wp.static(creasing):
+                        for h in range(w.fold_start[b] + lane, w.fold_start[b + 1], width):
+                            crease(w, here, h)
+                        round += 1
+                        barrier(w.counters, team, blocks, round)
+                    for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
+                        panel(w, here, b, q)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
                 for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
                     meet(w, here, there, q, dt, p_body, p_surface, p_touch, p_grip)
@@ -269,6 +282,8 @@ def make_forward(kit):
                         f += pressed(w, i)
                     if wp.static(filled):
                         f += squeezed(w, i)
+                    if wp.static(draping):
+                        f += draped(w, i)
                     if wp.static(pointed):
                         f += met_points(w, i)
                     else:

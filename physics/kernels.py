@@ -110,6 +110,8 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         skinned=bool(laws.stage("facet")),
         filled=bool(laws.stage("solid")),
         easing=bool(laws.stage("viscous")),
+        draping=bool(laws.stage("membrane") or laws.stage("plate")),
+        creasing=bool(laws.stage("plate")),
         touching=bool(laws.stage("touch")),
         growing=bool(laws.stage("growth")),
         flowing=bool(laws.stage("flow")),
@@ -152,7 +154,7 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
     pq, pk, pair = vectors["memory"], vectors["cell_memory"], vectors["natural"]
 
     @wp.struct
@@ -223,6 +225,25 @@ def _structs(R, vec, vectors):
         ease: wp.array2d(dtype=R)  # (B, rounds) share of the substep that each takes
         squeeze: wp.array2d(dtype=vec)  # (K, 8) N, forces on the corners
         eased: wp.array3d(dtype=vec)  # (slots kept, rounds + 1, nodes) m/s, before and after each round
+        panel_start: wp.array(dtype=wp.int32)  # (B+1,) first triangle of each system's sheet
+        panel: wp.array2d(dtype=wp.int32)  # (F, 3) nodes
+        panel_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        panel_of: wp.array(dtype=wp.int32)  # 3 triangle + corner
+        panel_side: wp.array2d(dtype=wp.int32)  # (F, 3) the fold across from each corner, or -1
+        panel_area: wp.array(dtype=R)  # (F,) m^2
+        bent_area: wp.array(dtype=R)  # (F,) m^2, for which its curvature stands
+        flattened: wp.array2d(dtype=R)  # (F, 4) 1/m, the inverse of a triangle's edges at rest, row by row
+        curving: wp.array2d(dtype=vec)  # (F, 3) 1/m, curvature per angle of each side
+        fold_start: wp.array(dtype=wp.int32)  # (B+1,) first fold of each system
+        fold: wp.array2d(dtype=wp.int32)  # (H, 4) nodes: its ends, left, right
+        fold_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        fold_of: wp.array(dtype=wp.int32)  # 4 fold + place in it
+        beside: wp.array2d(dtype=wp.int32)  # (H, 2) 3 triangle + side, of its two triangles
+        rest_angle: wp.array(dtype=R)  # (H,) rad
+        angle: wp.array2d(dtype=R)  # (H, 2) rad beyond that at rest, and rad/s
+        slope: wp.array2d(dtype=vec)  # (H, 4) 1/m, the angle's gradients
+        panel_force: wp.array2d(dtype=vec)  # (F, 3) N, on its corners
+        panel_moment: wp.array2d(dtype=R)  # (F, 3) N m, about its sides
         point_start: wp.array(dtype=wp.int32)  # (B+1,) first material point of each system
         point_node: wp.array2d(dtype=wp.int32)  # (P, K) nodes that carry it
         point_weight: wp.array2d(dtype=R)  # (P, K)
@@ -274,6 +295,12 @@ def _structs(R, vec, vectors):
         material: wp.array(dtype=pl)
         branch: wp.array(dtype=pr)
         viscous: wp.array(dtype=pd)
+        paneled: wp.array2d(dtype=vec)  # (F, 6) of a triangle's forces: its corners' x, their v
+        panel_angle: wp.array3d(dtype=R)  # (F, 3, 3) and of the angles at its sides, of their rates, of their changes
+        angle: wp.array(dtype=R)  # (H,) change of a fold's angle by the adjoints of forces
+        folded: wp.array2d(dtype=vec)  # (H, 8) of a fold's forces: its nodes' x, their v
+        membrane: wp.array(dtype=pn)  # (F,) shares of the parameters' gradient
+        plate: wp.array(dtype=py)
         load: wp.array(dtype=R)  # (P,)
         held: wp.array(dtype=R)
         anchor: wp.array(dtype=vec)  # (P,) in: at the stretch's end, out: at its start

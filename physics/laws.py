@@ -66,6 +66,8 @@ class Laws:
             solid=summed(self, "solid"),
             viscous=summed(self, "viscous"),
             **fuse_material(self),
+            membrane=summed(self, "membrane"),
+            plate=summed(self, "plate"),
             body=summed(self, "body"),
             surface=summed(self, "surface"),
             touch=_touch(self)[0],

@@ -12,7 +12,7 @@ import warp as wp
 from torch.autograd.function import once_differentiable
 
 from .contacts import seek
-from .terms.base import CELLS, STAGED
+from .terms.base import CELLS, SHEETS, STAGED
 
 __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
 
@@ -95,7 +95,7 @@ class Carrier:
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
         vectors |= {"directors", "bent", "turned", "face", "faced", "points", "per", "squeeze", "eased", "cells", "cell_home", "cell_at"}
-        vectors |= {"point_home", "anchor", "push", "met_points"}
+        vectors |= {"point_home", "anchor", "push", "met_points", "curving", "slope", "panel_force", "paneled", "folded"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
         dtype = wp.int32 if tensor.dtype == torch.int32 else kind
         if tensor.numel():
@@ -159,6 +159,8 @@ class World(Carrier):
                 **dict(free=empty(1 if batch.colliding else kept, n, 3), flight=empty((slots if batch.colliding else 0) * n * 8)),
                 **dict(met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(squeeze=empty(batch.cell_starts[-1], 8, 3), eased=empty(kept, rounds + 1, n if batch.easing else 0, 3)),
+                **dict(panel_force=empty(batch.panel_starts[-1], 3, 3), panel_moment=empty(batch.panel_starts[-1], 3)),
+                **dict(angle=empty(batch.fold_count, 2), slope=empty(batch.fold_count, 4, 3)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
         )
@@ -200,6 +202,8 @@ class Adjoint(Carrier):
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         cells = batch.cell_starts[-1]
         self.counts = {"hinge": hinges, "facet": batch.facet_starts[-1], **dict.fromkeys(CELLS, cells)}
+        panels, folds = batch.panel_starts[-1], batch.fold_count
+        self.counts |= dict.fromkeys(SHEETS, panels)
         self.counts |= dict.fromkeys(("surface", "touch", "grip", *(["body"] if batch.pointed else [])), len(anchor))
         stages = {s: zeros(batch.laws.width(s), count=self.counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure", "load", "held")}
@@ -218,6 +222,8 @@ class Adjoint(Carrier):
                 **rods,
                 **faced,
                 **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), cell_memory=cell_memory.contiguous().clone()),
+                **dict(paneled=zeros(6, 3, count=panels), panel_angle=zeros(3, 3, count=panels)),
+                **dict(angle=zeros(count=folds), folded=zeros(8, 3, count=folds)),
                 **dict(anchor=anchor.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
             ),
         )
@@ -237,6 +243,7 @@ class Adjoint(Carrier):
         parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
         parts |= {s: by_system(t[s], batch.cell_starts) for s in CELLS}
+        parts |= {s: by_system(t[s], batch.panel_starts) for s in SHEETS}
         parts |= {s: by_system(t[s], batch.point_starts) for s in self.counts if s not in parts}
         table = torch.zeros_like(batch.inputs.table)  # what only the setup reads gets its gradient there
         for stage, part in parts.items():

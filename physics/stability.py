@@ -12,9 +12,10 @@ from .facets import enclosed
 from .hinges import FOLD
 from .materials import point_twin
 from .rounds import reach
+from .sheets import internal_forces as sheet_forces
 from .solids import damping_forces, internal_forces
 from .system import System
-from .terms.base import CELLS
+from .terms.base import CELLS, SHEETS
 
 __all__ = ["stable_rounds", "stable_step", "stable_substeps"]
 
@@ -46,6 +47,9 @@ def stable_step(system: System) -> float:
     A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by Lanczos' method, with all that
     alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
+    A sheet adds the largest eigenvalue of its stiffness in the shape in which it starts, found in the same way, and that of its damping.
+    What stiffens as it is strained or bent is not in it.
+
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.
 
@@ -68,6 +72,7 @@ def stable_step(system: System) -> float:
         return math.inf
     lam = float((stiffness[inside] / system.masses[inside]).max()) + _fastest(system, free, "solid")
     mu = float((damping[inside] / system.masses[inside]).max())
+    lam, mu = lam + _sheet_fastest(system, free, damping=False), mu + _sheet_fastest(system, free, damping=True)
     for term in system.terms:
         if term.hardness is not None:
             hard = term.hardness(**term.values)
@@ -96,7 +101,7 @@ def _fastest(system, free, stage):
     lateral = lame / max(lame + 2 * mu, 1e-30)
     home, at = point_sites(system)
     fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in terms), 3, 3))
-    root, step = np.sqrt(system.masses[free])[:, None], 1e-6 * system.grid.size.min()
+    step = 1e-6 * system.grid.size.min()
 
     def law(deformed, rate):
         return point_twin(terms, deformed, rate, home, at, fresh, INSTANT)[0]
@@ -104,24 +109,56 @@ def _fastest(system, free, stage):
     def viscous(rate):
         return sum(t.twin(rate, **t.values) for t in terms)
 
-    def resisted(motion):
-        way = np.zeros_like(x)
-        way[free] = motion.reshape(-1, 3) / root
+    def pull(way):
         if stage == "viscous":
-            force = damping_forces(system.grid, x, way, viscous, lateral=lateral)
-        else:
-            small = step / max(np.abs(way).max(), 1e-300)
-            ahead, behind = (
-                internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way)
-            )
-            force = (ahead - behind) / (2 * small)
-        return -(force[free] / root).ravel()
+            return damping_forces(system.grid, x, way, viscous, lateral=lateral)
+        small = step / max(np.abs(way).max(), 1e-300)
+        ahead, behind = (
+            internal_forces(system.grid, x + move, move / INSTANT, law, lateral=lateral) for move in (small * way, -small * way)
+        )
+        return (ahead - behind) / (2 * small)
+
+    return _largest(pull, system.masses, free)
+
+
+def _largest(pull, masses, free):
+    """Largest eigenvalue of a stiffness or a damping over ``masses`` (N,) of the nodes that are ``free``.
+
+    ``pull`` gives the forces of a motion (N, 3).
+    """
+    root, way = np.sqrt(masses[free])[:, None], np.zeros((len(masses), 3))
+
+    def resisted(motion):
+        way[free] = motion.reshape(-1, 3) / root
+        return -(pull(way)[free] / root).ravel()
 
     start = np.random.default_rng(0).normal(size=3 * int(free.sum()))
     if not len(start) or not resisted(start).any():
         return 0.0
     matrix = LinearOperator((len(start), len(start)), matvec=resisted, dtype=float)
     return MARGIN * float(np.abs(eigsh(matrix, 1, which="LM", v0=start, tol=CLOSE, return_eigenvectors=False))[0])
+
+
+def _sheet_fastest(system, free, *, damping):
+    """Largest eigenvalue [1/s^2, or 1/s of the ``damping``] of the free nodes' stiffness over mass, by a sheet's terms, as it starts."""
+    own = {stage: [t for t in system.terms if t.stage == stage] for stage in SHEETS}
+    if system.sheet is None or not any(own.values()):
+        return 0.0
+    x, step = system.positions, 1e-6 * np.sqrt(system.sheet.areas.min())
+
+    def law(stage):
+        return lambda state, rate: sum((t.twin(state, rate, **t.values) for t in own[stage]), np.zeros_like(state))
+
+    def at(place, speed):
+        return sheet_forces(system.sheet, place, speed, law("membrane"), law("plate"))
+
+    def pull(way):
+        small = step / max(np.abs(way).max(), 1e-300)
+        if damping:
+            return (at(x, small * way) - at(x, -small * way)) / (2 * small)
+        return (at(x + small * way, 0 * x) - at(x - small * way, 0 * x)) / (2 * small)
+
+    return _largest(pull, system.masses, free[: system.particle_count])
 
 
 def stable_rounds(system: System, dt: float) -> int:

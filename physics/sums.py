@@ -35,6 +35,19 @@ def _plus_of_one(before, law, offset):
 
 
 @wp.func
+def none_of_two(a: Any, b: Any, p: Any):
+    return type(a)(0.0)
+
+
+def _plus_of_two(before, law, offset):
+    @wp.func
+    def total(a: Any, b: Any, p: Any):
+        return before(a, b, p) + law(a, b, p, offset)
+
+    return total
+
+
+@wp.func
 def none_of_three(a: Any, b: Any, c: Any, p: Any):
     return type(a)(0.0)
 
@@ -88,6 +101,7 @@ def _plus_of_six(before, law, offset):
 
 SUMS = {  # by the number of a law's arguments before p
     1: (none_of_one, _plus_of_one),
+    2: (none_of_two, _plus_of_two),
     3: (none_of_three, _plus_of_three),
     4: (none_of_four, _plus_of_four),
     5: (none_of_five, _plus_of_five),

@@ -11,6 +11,7 @@ from ..datasets.collection import nearest
 from .grids import Grid
 from .hinges import Ropes
 from .points import Points
+from .sheets import Sheet
 from .terms.base import STAGES, Term
 
 __all__ = ["System"]
@@ -37,6 +38,7 @@ class System:
     chains       arrays of nodes in order, each a rope, or a ring where the last is the first: hinges along them twist as well
     facets       (F, 3) int: particles at the corners of the skin's triangles, anticlockwise from outside; only facet terms read them
     grid         the cells of a solid whose nodes the particles are (``physics.grids``); only solid and viscous terms read it
+    sheet        triangles between the particles that stretch and bend (``physics.sheets``); only membrane and plate terms read it
     points       material points that the particles carry, on which body forces act then (``physics.points``)
     seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen
@@ -58,6 +60,7 @@ class System:
     chains: tuple[np.ndarray, ...] = ()
     facets: np.ndarray | None = None
     grid: Grid | None = None
+    sheet: Sheet | None = None
     points: Points | None = None
     home: np.ndarray | None = None
     seen: np.ndarray | None = None
@@ -126,6 +129,10 @@ class System:
         refuse(flat, lambda f: f"facets must have three different corners, got {self.facets[f].tolist()} at facet {f}")
         if self.grid is not None and len(self.grid.positions) != count:
             raise ValueError(f"the grid's nodes must be the particles: got {len(self.grid.positions)} nodes and {count} particles")
+        if self.sheet is not None:
+            outside = ((self.sheet.triangles < 0) | (self.sheet.triangles >= count)).any(1)
+            triangles = self.sheet.triangles
+            refuse(outside, lambda f: f"a sheet must join particles 0 to {count - 1}, got {triangles[f].tolist()} at triangle {f}")
         if self.points is not None:
             self._check_points(count, hands, refuse)
         if self.seen is not None:

@@ -12,6 +12,7 @@ from ...physics.facets import solid_facets
 from ...physics.grids import embed
 from ...physics.hinges import natural_curvature
 from ...physics.points import material_points
+from ...physics.sheets import Sheet
 from ...physics.system import System
 from ...physics.terms import (
     Bending,
@@ -22,11 +23,13 @@ from ...physics.terms import (
     Ground,
     KelvinVoigt,
     LinearDrag,
+    Membrane,
     NeoHookean,
+    PlateBending,
     SoftGrip,
     Springs,
 )
-from ...physics.terms.base import CELLS
+from ...physics.terms.base import CELLS, SHEETS
 from ...physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .checking import Skipped, require
 
@@ -38,6 +41,7 @@ __all__ = [
     "batch_of",
     "central_difference",
     "check",
+    "draped",
     "leaves",
     "loss",
     "make",
@@ -71,6 +75,14 @@ VALUES = dict(
     coulomb_normal_z=-1.0,
     damage_strain=0.02,
     maxwell_time=0.02,
+    membrane_stiffness=20.0,
+    rubber_stiffness=15.0,
+    membrane_viscosity=0.02,
+    plate_rigidity=1e-3,
+    plate_viscosity=2e-6,
+    plate_stiffening=2e-3,
+    plate_poisson=0.2,
+    plate_viscous_poisson=0.1,
     grip_rate=300.0,
 )
 POINTS = ("surface", "touch", "grip")  # stages at points of the material
@@ -82,6 +94,8 @@ def of_every_parameter(term) -> None:
     """Raises AssertionError unless the gradient of a roll-out in each parameter of ``term`` is what differences say."""
     if term.stage in (*CELLS, *POINTS):
         batch = Batch([solid(term, seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
+    elif term.stage in SHEETS:
+        batch = Batch([draped(term, seed=seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
     else:
         batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
     inputs = leaves(batch)
@@ -135,6 +149,32 @@ def solid(term, seed=0):
         terms=[
             k(own if k is term else {p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES})
             for k in dict.fromkeys((*others, term))
+        ],
+    )
+
+
+def draped(*kinds, seed=0):
+    """A wavy sheet, its triangles of all shapes, that a hand leads by a side and that falls, with terms of ``kinds``."""
+    rng = np.random.default_rng(seed)
+    flat = 0.02 * np.stack(np.meshgrid(np.arange(6.0), np.arange(4.0), indexing="ij"), -1).reshape(-1, 2)
+    flat += rng.uniform(-0.004, 0.004, flat.shape)
+    points = np.column_stack([flat, 0.006 * np.sin(50 * flat[:, 0]) + 0.004 * np.cos(60 * flat[:, 1])])
+    corner = (4 * np.arange(5)[:, None] + np.arange(3)).ravel()
+    triangles = np.concatenate([corner[:, None] + [0, 4, 5], corner[:, None] + [0, 5, 1]])
+    sheet = Sheet.of(points, triangles, flat=bool(seed % 2))
+    held = np.arange(4)
+    return System(
+        positions=points * rng.uniform(0.95, 1.05, 3) + rng.normal(size=points.shape) * 5e-4,
+        velocities=rng.normal(size=points.shape) * 0.1,
+        masses=sheet.masses(0.3, len(points)),
+        springs=np.zeros((0, 2), int),
+        stiffness=[],
+        controllers=points[held] + np.linspace(0, 0.02, FRAMES)[:, None, None],
+        grips=held,
+        sheet=sheet,
+        terms=[
+            k({p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES})
+            for k in dict.fromkeys((Gravity, Membrane, PlateBending, *kinds))
         ],
     )
 

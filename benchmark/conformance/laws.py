@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...physics.terms.base import ARGUMENTS, CELLS, Term
+from ...physics.terms.base import ARGUMENTS, CELLS, SHEETS, Term
 from .checking import require
 
 __all__ = ["agree", "agree_in_memory", "evaluate", "random_inputs"]
@@ -127,6 +127,8 @@ def random_inputs(stage, rng):
         known = dict(deformed=deformed, rate=10 * rate, stress=stress, home=x[0], at=x[0], mu=positive[0], lame=positive[1])
         known |= dict(q=(q + np.swapaxes(q, 1, 2)) / 2, dt=0.1 * positive[2])
         return [known[name] for name in ARGUMENTS[stage]]
+    if stage in SHEETS:  # strains, or curvatures that are as sharp as a hand, with their rates
+        return [0.2 * x[0] if stage == "membrane" else 30.0 * x[0], 10 * v[0]]
     if stage == "facet":
         return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
     if stage == "touch":

@@ -1,8 +1,8 @@
-"""Twins as continua: a few global parameters of a body of finite elements, solid cells or rods, fitted to recordings.
+"""Twins as continua: a few global parameters of a body of finite elements, cells, rods or triangles, fitted to recordings.
 
-Foam, plush, rubber, ropes: a body is told from the points of frame 0, cut into elements, held by hands that may be a little elsewhere than
-they are said to be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how well sound twins
-can predict each part of a motion. ``results/continuum.md`` says what it is worth.
+Foam, plush, rubber, ropes, cloth: a body is told from the points of frame 0, cut into elements, held by hands that may be a little
+elsewhere than they are said to be, and its stiffness, damping and grips are fitted by Levenberg and Marquardt's method. Weights say how
+well sound twins can predict each part of a motion. ``results/continuum.md`` says what it is worth.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ __all__ = ["METHODS", "Continuum"]
 
 
 class Continuum(Method):
-    """Solids neo-Hookean and viscous, ropes that resist stretch, bending and twist, with Coulomb friction on the ground."""
+    """Solids neo-Hookean and viscous, ropes that resist stretch, bending and twist, sheets; with Coulomb friction on the ground."""
 
     name = "continuum"
     presets: ClassVar = {
         "quick": Config(),
-        "full": Config(starts=5, iterations=16, refinement=10, recordings=24, members=16),
+        "full": Config(starts=5, iterations=16, refinement=10, recordings=12, members=16),
     }
 
     @property

@@ -125,6 +125,7 @@ class Body(ABC):
     def starts(cls, bodies: Sequence[Body], recordings: Sequence[Observed], unknowns: Sequence[Unknown], config: Config) -> np.ndarray:
         """(K, n) values of ``unknowns`` from which a search begins."""
 
+    grip_share: ClassVar[float] = 1.0  # of the usual radius of a grip: fingertips pinch a sheet in less
     nuisances: ClassVar[tuple[str, ...]] = ()  # values by which sound twins differ: nobody needs to know them exactly
 
     # ---------------------------------------------------------------- kept
@@ -142,9 +143,10 @@ class Body(ABC):
 def class_of(kind: str) -> type[Body]:
     """The class of a kind of body; raises ValueError for a kind that no twin is made of."""
     from .rods import Rod
+    from .sheets import Cloth
     from .solids import Solid
 
-    known = {made.kind: made for made in (Solid, Rod)}
+    known = {made.kind: made for made in (Solid, Rod, Cloth)}
     if kind not in known:
         raise ValueError(f"a {kind}: bodies are made of {', '.join(sorted(known))}")
     return known[kind]

@@ -114,7 +114,7 @@ class Scene:
                 held, share = self.structure[hand.points], hand.firmness / hand.firmness.sum()
                 spread = share @ ((held - share @ held) ** 2).sum(1)
                 radii[k] = max(0.5 * self.radius, np.sqrt((1 + 2 / self.body.dimensions) * spread))
-        return tuple(places), radii
+        return tuple(places), self.body.grip_share * radii
 
     @cached_property
     def grasp(self) -> Grasp:

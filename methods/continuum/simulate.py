@@ -20,7 +20,7 @@ __all__ = ["GRIP", "Simulator"]
 
 GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius over the usual one
 FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
-LIMITING = ("axial", "hinge", "facet", "solid", "viscous", "grip", "touch")  # stages that say how long a substep may be
+LIMITING = ("axial", "hinge", "facet", "solid", "viscous", "membrane", "plate", "grip", "touch")  # stages that limit substeps
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,11 +33,17 @@ from .internal_friction import InternalFriction
 from .kelvin_voigt import KelvinVoigt
 from .linear_drag import LinearDrag
 from .maxwell import Maxwell
+from .membrane import Membrane
+from .membrane_damping import MembraneDamping
 from .neo_hookean import NeoHookean
+from .neo_hookean_membrane import NeoHookeanMembrane
 from .norton_creep import NortonCreep
 from .observer import Observer
 from .plasticity import Plasticity
+from .plate_bending import PlateBending
+from .plate_damping import PlateDamping
 from .plate_drag import PlateDrag
+from .plate_stiffening import PlateStiffening
 from .pressure import Pressure
 from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
@@ -92,11 +98,17 @@ __all__ = [
     "KelvinVoigt",
     "LinearDrag",
     "Maxwell",
+    "Membrane",
+    "MembraneDamping",
     "NeoHookean",
+    "NeoHookeanMembrane",
     "NortonCreep",
     "Observer",
     "Plasticity",
+    "PlateBending",
+    "PlateDamping",
     "PlateDrag",
+    "PlateStiffening",
     "Pressure",
     "QuadraticDrag",
     "RestShape",

@@ -1,0 +1,207 @@
+"""Cloth and other sheets: triangles between the tracked points that resist stretch and bending."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from ...datasets.scenario import Observed
+from ...physics.points import Points
+from ...physics.sheets import Sheet
+from ...physics.terms import LinearDrag, Membrane, MembraneDamping, PlateBending, PlateDamping, PlateDrag
+from .bodies import Body
+from .body import SolidBody
+from .config import Config
+from .flattening import flattened
+from .meshing import located, meshed, smoothed
+from .unknowns import Unknown, rounded_up
+
+__all__ = ["Cloth"]
+
+AREAL_DENSITY = 0.2  # kg/m^2 of every sheet: without a told mass only ratios to it show in a motion
+GRAVITY = 9.81  # m/s^2, that makes lengths and rigidities comparable, wherever the sheet is
+NODES = 220  # 15 along the side of a square: folds as sharp as a tenth of it are several triangles long
+USUAL_LENGTH = 0.02  # m, the bending length (B / weight per area)^(1/3) of a common fabric
+MEMBRANE = 40.0  # N/m: a sheet of half a metre hangs longer by 2 %; much less does not show, and asks for shorter steps
+RATTLE = 1e-4  # s, damping time of stretch: its waves die out within some ten substeps
+RIGIDITIES = (0.1, 0.7, 5.0)  # times the usual one, from which searches start
+STIFFNESSES = (0.4, 1.5)  # likewise
+REACHES = (0.6, 1.2)  # of hands: how much of a cloth is pinched turns it, and no search finds that from far away
+FEWEST = 20  # points that tell a sheet
+
+
+@dataclass(frozen=True, eq=False)
+class Cloth(Body):
+    """``nodes`` (N, 3) m in frame 0, and ``triangles`` (F, 3) between them, as large there as at rest, where the sheet is flat.
+
+    corners, weights  (M, 3) of the structure points: in which triangle they are, and where
+
+    Its values, at 0.2 kg/m^2: plate_rigidity [N m], plate_time [s], its damping over that; membrane_stiffness [N/m]; plate_drag [kg/m^3];
+    drag_damping [1/s].
+    """
+
+    kind = "sheet"
+    nuisances = ("plate_time", "plate_drag", "drag_damping", "membrane_stiffness")
+    standoff = 0.0
+    grip_share = 0.6
+    recordings = 4
+    seconds = np.inf
+
+    nodes: np.ndarray
+    triangles: np.ndarray
+    corners: np.ndarray
+    weights: np.ndarray
+    structure: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    # ---------------------------------------------------------------- made
+
+    @classmethod
+    def of(cls, recording: Observed, told: SolidBody, times: float = 1.0) -> Cloth:
+        return cls.drawn(recording, recording.points[: recording.observed_frames], round(NODES / times**2))
+
+    @classmethod
+    def drawn(cls, recording: Observed, frames, count: int) -> Cloth:
+        """Of about ``count`` nodes; ``frames`` (T, C, 3) are positions of tracks that may tell layers apart."""
+        known, tracks = _known(recording, frames)
+        structure = recording.structure
+        points = structure[known]
+        if len(points) < FEWEST:
+            raise ValueError(f"a sheet must have at least {FEWEST} points in frame 0, got {len(points)} (scenario {recording.name})")
+        try:
+            flat = flattened(points, tracks)
+            chosen, triangles, pitch = meshed(flat, count)
+        except ValueError as error:
+            raise ValueError(f"{error} (scenario {recording.name})") from None
+        nodes = smoothed(flat, points, flat[chosen], pitch)
+        corners, weights = np.zeros((len(structure), 3), int), np.zeros((len(structure), 3))
+        corners[known], weights[known] = located(flat, flat[chosen], triangles)
+        notes = ()
+        if not known.all():  # a track that was not seen is where the recording guesses it
+            near = np.linalg.norm(structure[~known, None] - points[None], axis=2).argmin(1)
+            corners[~known], weights[~known] = corners[known][near], weights[known][near]
+            notes = (f"{int((~known).sum())} points that were not seen in frame 0 go with the nearest that were",)
+        return cls(nodes, triangles, corners, weights, structure, notes)
+
+    def coarser(self, recording: Observed, times: float) -> Cloth:
+        if times == 1.0:
+            return self
+        return self.drawn(recording, recording.points[: recording.observed_frames], round(len(self.nodes) / times**2))
+
+    def laid(self, target: Observed) -> Cloth:
+        """Drawn from the target's points in frame 0."""
+        return self.drawn(target, target.points[:1], len(self.nodes))
+
+    # ---------------------------------------------------------------- simulated
+
+    @property
+    def positions(self) -> np.ndarray:
+        return self.nodes
+
+    @property
+    def surface(self) -> np.ndarray:
+        return self.nodes
+
+    @cached_property
+    def sheet(self) -> Sheet:
+        return Sheet.of(self.nodes, self.triangles)
+
+    @cached_property
+    def points(self) -> Points:
+        """Mass in the middles of edges, which integrate quadratics, near enough to each other for a smooth grip; the skin at nodes."""
+        count, sheet = len(self.nodes), self.sheet
+        sides = np.sort(np.concatenate([sheet.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
+        edges, which = np.unique(sides, axis=0, return_inverse=True)
+        inside = np.bincount(which.ravel(), np.tile(AREAL_DENSITY * sheet.areas / 3, 3))
+        nodes = np.concatenate([edges, np.repeat(np.arange(count)[:, None], 2, 1)])
+        weights = np.concatenate([np.full(edges.shape, 0.5), np.tile([1.0, 0.0], (count, 1))])
+        areas = np.concatenate([np.zeros(len(edges)), sheet.masses(1.0, count)])
+        home = np.einsum("pk,pki->pi", weights, self.nodes[nodes])
+        masses = np.concatenate([inside, np.zeros(count)])
+        return Points(nodes, weights, home, masses, areas, np.full(len(nodes), -1), np.zeros(len(nodes)))
+
+    @property
+    def parts(self) -> dict:
+        return dict(springs=np.zeros((0, 2), int), stiffness=[], sheet=self.sheet, facets=self.sheet.triangles)
+
+    @property
+    def terms(self):
+        return [Membrane(), MembraneDamping(), PlateBending(), PlateDamping(), PlateDrag(), LinearDrag({"drag_damping": 0.1})]
+
+    @property
+    def usual(self) -> float:
+        """N m, the rigidity of a common fabric."""
+        return AREAL_DENSITY * GRAVITY * USUAL_LENGTH**3
+
+    def complete(self, values):
+        known = {"membrane_stiffness": MEMBRANE, "plate_rigidity": self.usual, "plate_time": 0.01, "plate_drag": 0.7, **values}
+        plate, membrane = known["plate_rigidity"], known["membrane_stiffness"]
+        return known | dict(plate_viscosity=plate * known["plate_time"], membrane_viscosity=membrane * RATTLE)
+
+    def stiffest(self, values):
+        names = ("membrane_stiffness", "membrane_viscosity", "plate_rigidity", "plate_viscosity")
+        return {name: rounded_up(values[name], 0.2) for name in names}
+
+    def followed(self, path):
+        return np.einsum("mk,tmki->tmi", self.weights, path[:, self.corners])
+
+    def moving(self, speeds):
+        """Least squares, nodes that no point tells moving as their neighbours do."""
+        from scipy.sparse import coo_matrix, vstack
+        from scipy.sparse.linalg import lsqr
+
+        count, rows = len(self.nodes), np.repeat(np.arange(len(self.corners)), 3)
+        told = coo_matrix((self.weights.ravel(), (rows, self.corners.ravel())), (len(self.corners), count))
+        ends = self.sheet.folds[:, :2]
+        alike = coo_matrix((np.tile([0.1, -0.1], len(ends)), (np.repeat(np.arange(len(ends)), 2), ends.ravel())), (len(ends), count))
+        return np.stack([lsqr(vstack([told, alike]), np.concatenate([s, np.zeros(len(ends))]))[0] for s in speeds.T], 1)
+
+    # ---------------------------------------------------------------- fitted
+
+    @classmethod
+    def unknowns(cls, bodies: Sequence[Body]) -> list[Unknown]:
+        """From silk to felt, by bending lengths of 4 mm to 9 cm; damping times of 0.5 to 100 ms; air drag from none to that of a tenth of
+        the density."""
+        log, usual = np.log, bodies[0].usual
+        return [
+            Unknown("plate_rigidity", usual, 0.01 * usual, 100 * usual, "N m", "log", prior=(log(usual), log(5.0))),
+            Unknown("plate_time", 0.01, 5e-4, 0.1, "s", "log", prior=(log(0.01), log(3.0))),
+            Unknown("membrane_stiffness", MEMBRANE, 4.0, 300.0, "N/m", "log", prior=(log(MEMBRANE), log(3.0))),
+            Unknown("plate_drag", 0.7, 0.02, 10.0, "kg/m^3", "log", prior=(log(0.7), log(2.5))),
+            Unknown("drag_damping", 0.1, 0.005, 3.0, "1/s", "log", prior=(log(0.1), log(3.0))),
+        ]
+
+    @classmethod
+    def starts(cls, bodies, recordings, unknowns, config: Config) -> np.ndarray:
+        """Limper and stiffer sheets, pinched in more and in less."""
+        rows = []
+        for rigidity, stiffness, reach in product(RIGIDITIES, STIFFNESSES, REACHES):
+            tried = {"plate_rigidity": rigidity * bodies[0].usual, "membrane_stiffness": stiffness * MEMBRANE}
+            tried |= {u.name: reach for u in unknowns if u.name.endswith("_reach")}
+            rows.append([min(max(tried.get(u.name, u.value), u.low), u.high) for u in unknowns])
+        return np.unique(np.array(rows), axis=0)
+
+    # ---------------------------------------------------------------- kept
+
+    def arrays(self):
+        return {name: getattr(self, name) for name in ("nodes", "triangles", "corners", "weights", "structure")}
+
+    @classmethod
+    def restored(cls, arrays, notes):
+        return cls(**arrays, notes=notes)
+
+
+def _known(recording, frames):
+    """((M,) which structure points were seen in frame 0 or are supplied, their tracks (T, K, 3) m, NaN where not seen or no tracks)."""
+    count = recording.counts[0]
+    known = np.ones(len(recording.structure), bool)
+    known[:count] = recording.visible[0]
+    known &= np.isfinite(recording.structure).all(1)
+    tracks = np.full((len(frames), int(known.sum()), 3), np.nan)
+    seen = recording.visible[: len(frames), :, None]
+    tracks[:, : int(known[:count].sum())] = np.where(seen, frames, np.nan)[:, known[:count]]
+    return known, tracks
