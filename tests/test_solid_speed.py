@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from twinbench.benchmark import solid_damping
 from twinbench.benchmark.solid_engines import FRAMES, Bar, Cells, Flex, Setting, Tetrahedra
 from twinbench.benchmark.solid_speed import Tried, apart, chosen, many
+from twinbench.physics.stability import stable_rounds
 
 MESHES = ((2, 1, 1), (4, 1, 1), (8, 1, 1))
 
@@ -66,3 +68,11 @@ def test_a_mesh_without_the_points_is_refused():
 def test_newtons_steps_come_in_pairs():
     with pytest.raises(ValueError, match="substeps must be even"):
         Tetrahedra().ready([Bar()], Setting((4, 1, 1), 3, 2))
+
+
+def test_damped_blocks_are_timed_and_held():
+    # a block of one layer: its cells fill it, its held end stays, and what is printed is its own substeps and rounds
+    system = solid_damping.block((0.1, 0.05, 0.025), 0.025, 0.005)
+    np.testing.assert_allclose(system.masses.sum(), 100 * 0.1 * 0.05 * 0.025, rtol=1e-9)
+    taken, substeps, rounds = solid_damping.seconds(system, repeats=1)
+    assert taken > 0 and rounds == stable_rounds(system, 1 / 30 / substeps) > 1
