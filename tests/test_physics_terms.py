@@ -174,7 +174,7 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    cells = ["_growth", "_flow", "_solid", "_material", "_branch", "_viscous"]
+    cells = ["_growth", "_flow", "_solid", "_material", "_branch", "_viscous", "_membrane", "_plate"]
     first = ["_axial", "_strand", "_hinge", "_facet", *cells, "_body", "_surface", "_touch", "_grip", "_observer", "_velocity"]
     assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
     air = [
