@@ -49,7 +49,7 @@ class Continuum(Method):
         if config.pitch != 1.0:
             pitches = [config.pitch * float(body.grid.size.mean()) for body in bodies]
             bodies = [body_of(one, kind="solid", pitch=pitch) for one, pitch in zip(used, pitches, strict=True)]
-        scenes = [Scene.of(one, body) for one, body in zip(used, bodies, strict=True)]
+        scenes = [Scene.of(one, body, config.start) for one, body in zip(used, bodies, strict=True)]
         found = estimate(used, scenes, config, seed=seed, device=device, progress=progress, **told)
         values = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
         scene = replace(scenes[0], notes=(*scenes[0].notes, *_said(found)))

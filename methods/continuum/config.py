@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DENSITY", "Config"]
+__all__ = ["DENSITY", "STARTS", "Config"]
 
 DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it show in a motion
+STARTS = ("auto", "rest", "frames")
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class Config:
     frames      observed frames of each that are fitted, or None: all
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
     grips       whether what hands hold is fitted
+    start       "rest", or "frames": as fast as the first two say, or "auto": that where frame 0 is no rest (``start.starts_at_rest``)
     """
 
     pitch: float = 1.0
@@ -32,3 +34,8 @@ class Config:
     frames: int | None = None
     members: int = 8
     grips: bool = True
+    start: str = "auto"
+
+    def __post_init__(self):
+        if self.start not in STARTS:
+            raise ValueError(f"start must be one of {', '.join(STARTS)}, got {self.start!r}")

@@ -77,7 +77,7 @@ def unknowns_of(scenes: Sequence[Scene], config: Config) -> list[Unknown]:
         found.append(Unknown("coulomb_friction", 0.5, 0.05, 2.0, "-", "log", prior=(log(0.5), 0.5)))
     for r, scene in enumerate(scenes):
         for k, hand in enumerate(scene.hands):
-            if config.grips and len(hand.points):
+            if config.grips and len(hand.points) and not scene.driven(hand):
                 at = f"rec{r}_grip{k}"
                 found += [Unknown(f"{at}_shift_{axis}", 0.0, -SHIFT, SHIFT, "m", prior=(0.0, 0.005)) for axis in "xyz"]
                 found.append(Unknown(f"{at}_reach", 1.0, 1 / REACH, REACH, "-", "log", prior=(0.0, 0.3)))

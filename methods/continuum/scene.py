@@ -11,15 +11,18 @@ from ...datasets.scenario import Observed, Plane
 from ...physics.grids import Grid
 from ...physics.points import Points, material_points
 from .body import SolidBody, body_of
-from .config import DENSITY
+from .config import DENSITY, STARTS
 from .hands import FINGER, SOFT, Hand, frames_of, hands_of, steadied
 from .held import falloff
+from .start import starts_at_rest
+from .velocity import Field, Launch, launched
 
 __all__ = ["REACH", "Grasp", "Scene", "posed"]
 
 REACH = 2.0  # times the usual radius of a grip, at most, that is fitted
 SAME = 1e-9  # m: controllers that start where the recording's do
 SHIFT = 0.015  # m, at most, that the place of a grip is off
+HALF = 0.5 + 1e-6  # of a cell, from a driven marker to a node that it carries
 
 
 def posed(grid: Grid, rotation, shift) -> Grid:
@@ -43,6 +46,7 @@ class Scene:
     structure  (M, 3) the recording's points in frame 0, ``counts`` of tracked, surface and interior ones
     hands      as they move in the recording, ``controllers`` (T, C, 3) and ``grips`` (C,) as in it; ``radius`` of a grip
     gravity    (3,) m/s^2; ground or None; fps
+    launch     how it moves from frame 0 to frame 1, or None: it starts at rest
     """
 
     name: str
@@ -59,11 +63,15 @@ class Scene:
     ground: Plane | None
     fps: float
     notes: tuple[str, ...] = ()
+    launch: Launch | None = None
 
     @classmethod
-    def of(cls, recording: Observed, body: SolidBody) -> Scene:
-        """The scene of a recording and its body; raises ValueError where a hand holds nothing though it comes near the body."""
-        return cls.in_grid(recording, body.grid, body.surface, body.area, body.notes)
+    def of(cls, recording: Observed, body: SolidBody, start: str = "rest") -> Scene:
+        """The scene of a recording and its body, which starts as ``Config.start`` says.
+
+        Raises ValueError where a hand holds nothing though it comes near the body, or two frames do not tell a velocity that is asked for.
+        """
+        return cls.in_grid(recording, body.grid, body.surface, body.area, body.notes).starting(recording, start)
 
     @classmethod
     def in_grid(cls, recording: Observed, grid: Grid, surface, area: float, notes=()) -> Scene:
@@ -77,7 +85,36 @@ class Scene:
 
     def regridded(self, recording: Observed, times: float) -> Scene:
         """The same in cells ``times`` as large."""
-        return replace(self, grid=body_of(recording, kind="solid", pitch=times * float(self.grid.size.mean())).grid)
+        grid = body_of(recording, kind="solid", pitch=times * float(self.grid.size.mean())).grid
+        scene = replace(self, grid=grid, launch=None)
+        return scene if self.launch is None else scene.moving(recording)
+
+    def starting(self, recording: Observed, start: str) -> Scene:
+        """The same, starting at "rest", as fast as the first two "frames" say, or ("auto") as fast where frame 0 is no rest."""
+        if start not in STARTS:
+            raise ValueError(f"start must be one of {', '.join(STARTS)}, got {start!r}")
+        found = starts_at_rest(recording) if start == "auto" else None
+        if start == "rest" or (found and found.rest):
+            return self
+        why = f": {found.words}" if found else ""
+        return replace(self.moving(recording), notes=(*self.notes, f"its start velocity is that of the first two frames{why}"))
+
+    def moving(self, recording: Observed) -> Scene:
+        """The same with the velocity that the first two frames of ``recording`` tell."""
+        path = self.carried()[:2]
+        led = (path[-1] - path[0]) * self.fps
+        return replace(self, launch=launched(recording, self.grid, *self._led, led))
+
+    @cached_property
+    def field(self) -> Field:
+        """The velocity field that the tracks of ``launch`` tell."""
+        return Field(self.grid, self.launch.places, self.launch.weight, *self._led)
+
+    @property
+    def _led(self):
+        """(places (h, 3) m and firmness (h,) of what hands carry softly, nodes (f,) that they carry rigidly)."""
+        usual = np.zeros((len(self.hands), 3)), np.ones(len(self.hands))
+        return self.points.home[self.grasp.points], self.firmness(*usual), self.fastened[0]
 
     @cached_property
     def points(self) -> Points:
@@ -95,7 +132,7 @@ class Scene:
 
         One place for a hand that is near the body: the middle of the material beside its controllers, and the radius of the ball that what
         it was seen to hold fills: of what is spread evenly in a ball the RMS distance from its middle is sqrt(3 / 5) of the radius. Driven
-        markers are places themselves.
+        markers hold otherwise (``fastened``), and are places themselves.
         """
         from scipy.spatial import cKDTree
 
@@ -121,11 +158,32 @@ class Scene:
         if not len(self.hands):
             return Grasp(inside[:0], np.zeros(0, int))
         apart = np.array([_apart(home, at) for at in places])
-        holds = np.array([len(hand.points) > 0 for hand in self.hands])
+        holds = np.array([len(hand.points) > 0 and not self.driven(hand) for hand in self.hands])
         within = (apart < 1.5 * REACH * radii[:, None] + SHIFT) & holds[:, None]
         nearest = np.where(within, apart / radii[:, None], np.inf)
         kept = np.flatnonzero(within.any(0))
         return Grasp(inside[kept], nearest.argmin(0)[kept])
+
+    def driven(self, hand: Hand) -> bool:
+        """Whether all controllers of ``hand`` are markers on the body, which are driven."""
+        return bool((self.grips[hand.controllers] >= 0).all())
+
+    @cached_property
+    def fastened(self) -> tuple[np.ndarray, np.ndarray]:
+        """((f,) nodes that driven markers carry rigidly, (f,) the hand of each).
+
+        Those within half a cell of a marker, in each of the grid's directions: one or more for each marker in the grid. What is clamped
+        at a face is so held at its nodes there and no deeper. A soft grip of the material behind it shortens a beam: by a fifth
+        where it reaches 2 cm into one of 10 cm.
+        """
+        owner = np.full(len(self.grid.positions), -1)
+        places = (self.grid.positions - self.grid.origin) @ self.grid.axes.T / self.grid.size
+        for k, hand in enumerate(self.hands):
+            if self.driven(hand):
+                at = (self.controllers[0, hand.controllers] - self.grid.origin) @ self.grid.axes.T / self.grid.size
+                owner[np.abs(places[:, None] - at).max(2).min(1) <= HALF] = k
+        nodes = np.flatnonzero(owner >= 0)
+        return nodes, owner[nodes]
 
     def firmness(self, shift, reach) -> np.ndarray:
         """(n,) how firmly each point of the grasp is held, where grips are ``shift`` (H, 3) [m] off and ``reach`` (H,) times as wide."""
@@ -136,12 +194,14 @@ class Scene:
         return found
 
     def carried(self, hands=None) -> np.ndarray:
-        """(T, n, 3) m, where ``hands`` (the recording's own unless given) carry the points of the grasp."""
+        """(T, n + f, 3) m, where ``hands`` (the recording's own unless given) carry the points of the grasp and the nodes that are fastened."""
         hands = self.hands if hands is None else hands
-        home = self.points.home[self.grasp.points]
+        nodes, owner = self.fastened
+        home = np.concatenate([self.points.home[self.grasp.points], self.grid.positions[nodes]])
+        held_by = np.concatenate([self.grasp.hand, owner])
         path = np.repeat(home[None], len(hands[0].centre) if hands else len(self.controllers), 0)
         for k, hand in enumerate(hands):
-            own = np.flatnonzero(self.grasp.hand == k)
+            own = np.flatnonzero(held_by == k)
             if len(own):
                 path[:, own] = _from(self.hands[k], hand).carried(home[own])[-len(path) :]
         return path

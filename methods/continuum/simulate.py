@@ -20,6 +20,7 @@ __all__ = ["GRIP", "Simulator"]
 
 GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius over the usual one
 FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
+LAUNCHES = 2  # runs of one frame that correct a start velocity: in each a motion of a tenth of a period a frame is met to a tenth
 STEP = 0.1  # relative, in which stiffness and damping are rounded up where the substep is chosen: a search keeps its substeps
 
 
@@ -34,7 +35,6 @@ class Simulator:
     scene: Scene
     extra: tuple[Term, ...] = ()
     device: str = "cpu"
-    velocities: np.ndarray | None = None  # (N, 3) m/s of the nodes at the start
 
     @cached_property
     def system(self) -> System:
@@ -50,10 +50,10 @@ class Simulator:
             terms += [CoulombGround(dict(zip(names, plane, strict=True)))]
         return System(
             positions=scene.grid.positions,
-            velocities=self.velocities,
             springs=np.zeros((0, 2), int),
             stiffness=[],
             controllers=scene.carried()[:1],
+            grips=np.concatenate([np.full(len(grasp.points), -1), scene.fastened[0]]),
             grid=scene.grid,
             points=replace(scene.points, holds=holds, held=held),
             terms=[*terms, *self.extra],
@@ -70,6 +70,8 @@ class Simulator:
         batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)
         inputs = replace(batch.inputs, **self._inputs(batch, values, frames, hands))
         with torch.no_grad():
+            if self.scene.launch is not None:
+                inputs = replace(inputs, v=self._speed(batch, inputs))
             out = torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]])
         return np.stack([self._observed(path) for path in batch.split(out)])
 
@@ -92,6 +94,24 @@ class Simulator:
             row[self.scene.grasp.points] = self.scene.firmness(*self._grips(one))
         made = dict(dtype=batch.dtype, device=batch.device)
         return dict(table=table, path=torch.tensor(np.tile(path, (1, len(values), 1)), **made), held=torch.tensor(held.ravel(), **made))
+
+    def _speed(self, batch, inputs):
+        """(nodes, 3) m/s at the start, with which tracks go as far as they were seen to go until frame 1.
+
+        Two frames tell the mean velocity between them. A body that has just been let go and starts with that is half a frame's fall too
+        fast, so that what a run of one frame misses is added.
+        """
+        scene = self.scene
+        goal, speed = scene.field.seen(scene.launch.velocity), torch.zeros_like(inputs.v)
+        for own in batch.split(speed):
+            own[:] = torch.as_tensor(scene.launch.velocity)
+        for _ in range(LAUNCHES):
+            gone = (batch.march(0, 1, replace(inputs, v=speed))[0][0] - inputs.x) * scene.fps
+            for own, far in zip(batch.split(speed), batch.split(gone), strict=True):
+                missed = goal - scene.field.seen(far.double().cpu().numpy())
+                if np.isfinite(missed).all():
+                    own += torch.as_tensor(scene.field.solve(missed, scene.launch.steady)).to(speed)
+        return speed
 
     def _grips(self, values):
         """(shift (H, 3) m, reach (H,)) of all hands."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed
 
-__all__ = ["Start", "start_velocity", "starts_at_rest"]
+__all__ = ["Start", "seen_velocity", "start_velocity", "starts_at_rest"]
 
 FIRST = 3  # frames that tell whether the first is a rest
 SLOW = 0.02  # m/s: slower is rest whatever the noise; it is 0.7 mm a frame at 30 frames a second
@@ -66,13 +66,33 @@ def start_velocity(recording: Observed) -> np.ndarray:
     weight for tracks that do something else. Of few tracks a rigid field a + w x x (fewer than 12) or a translation (fewer than 4).
     Raises ValueError where fewer than two frames were observed, or no track in both.
     """
+    seen = _seen_twice(recording)
+    first, second = recording.points[0, seen], recording.points[1, seen]
+    return _field(first, (second - first) * recording.fps, recording.structure)
+
+
+def seen_velocity(recording: Observed) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """(places (n, 3) m in frame 0, velocities (n, 3) m/s to frame 1, weights (n,), noise [m/s] of a coordinate) of tracks that nobody drives.
+
+    Weights are those of ``start_velocity``, 1 where a dozen tracks or fewer were seen. Raises ValueError as it does.
+    """
+    seen = _seen_twice(recording)
+    free = seen & ~np.isin(np.arange(len(seen)), recording.grips)
+    seen = free if free.any() else seen
+    first, second = recording.points[0, seen], recording.points[1, seen]
+    velocity = (second - first) * recording.fps
+    weight = _fitted(first, velocity, ROUNDS)[1] if seen.sum() > FEWEST else np.ones(int(seen.sum()))
+    return first, velocity, weight, np.sqrt(2) * recording.fps * _noise(recording.points[:, seen], recording.visible[:, seen])
+
+
+def _seen_twice(recording):
+    """(N,) bool, the tracks that were seen in frames 0 and 1."""
     if recording.observed_frames < 2:
         raise ValueError(f"a start velocity needs two observed frames, got {recording.observed_frames} (scenario {recording.name})")
     seen = recording.visible[:2].all(0)
     if not seen.any():
         raise ValueError(f"a start velocity needs a track that was seen in frames 0 and 1, got none (scenario {recording.name})")
-    first, second = recording.points[0, seen], recording.points[1, seen]
-    return _field(first, (second - first) * recording.fps, recording.structure)
+    return seen
 
 
 def _rms(vectors):
@@ -93,6 +113,12 @@ def _noise(points, visible):
 
 def _field(points, velocity, at, *, rounds=ROUNDS):
     """(K, 3) the smooth field of ``velocity`` (n, 3) at ``points`` (n, 3), where ``at`` (K, 3) is."""
+    field, _ = _fitted(points, velocity, rounds)
+    return field(at)
+
+
+def _fitted(points, velocity, rounds):
+    """(the smooth field of ``velocity`` (n, 3) at ``points`` (n, 3) as a function of places (K, 3), (n,) how far each is trusted)."""
     middle = points.mean(0)
     size = max(float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))), 1e-9)
     columns = _columns(len(points))
@@ -103,7 +129,7 @@ def _field(points, velocity, at, *, rounds=ROUNDS):
         solution = np.linalg.lstsq(basis * root[:, None], wanted * root, rcond=1e-6)[0]
         stray = np.linalg.norm((wanted - basis @ solution).reshape(-1, 3), axis=1)
         weight = 1 / (1 + (stray / max(WIDE * np.median(stray), 1e-9)) ** 2)
-    return (_basis((at - middle) / size, columns) @ solution).reshape(-1, 3)
+    return lambda at: (_basis((at - middle) / size, columns) @ solution).reshape(-1, 3), weight
 
 
 def _columns(count):

@@ -19,6 +19,7 @@ from .body import body_of
 from .hands import Hand
 from .scene import REACH, Scene, posed
 from .simulate import Simulator
+from .velocity import Launch
 
 __all__ = ["ContinuumTwin"]
 
@@ -101,6 +102,8 @@ class ContinuumTwin(Twin):
         state |= dict(
             values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior, device=self.device
         )
+        if scene.launch is not None:
+            arrays |= {f"launch_{f.name}": getattr(scene.launch, f.name) for f in fields(Launch)}
         np.savez_compressed(folder / "twin.npz", **arrays)
         (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
 
@@ -118,6 +121,8 @@ class ContinuumTwin(Twin):
         ground = None if state["ground"] is None else Plane(np.array(state["ground"][:3]), state["ground"][3])
         known = {name: arrays[name] for name in ("surface", "structure", "controllers", "grips", "gravity")}
         known |= {name: state[name] for name in ("name", "area", "radius", "fps")}
+        if "launch_velocity" in arrays:
+            known["launch"] = Launch(**{f.name: arrays[f"launch_{f.name}"] for f in fields(Launch)})
         scene = Scene(grid=grid, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
         return cls(scene, state["values"], extra, state["posterior"], state["device"])
