@@ -52,7 +52,7 @@ class Continuum(Method):
         scenes = [Scene.of(one, body, config.start) for one, body in zip(used, bodies, strict=True)]
         found = estimate(used, scenes, config, seed=seed, device=device, progress=progress, **told)
         values = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
-        scene = replace(scenes[0], notes=(*scenes[0].notes, *_said(found)))
+        scene = replace(found.scenes[0], notes=(*found.scenes[0].notes, *_said(found)))
         return ContinuumTwin(scene, values, tuple(told.get("extra", ())), posterior_of(found), device)
 
     def skip(self, scenario) -> str | None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DENSITY", "STARTS", "Config"]
+__all__ = ["DENSITY", "RESTS", "STARTS", "Config"]
 
 DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it show in a motion
+RESTS = ("as it lies", "equilibrium")
 STARTS = ("auto", "rest", "frames")
 
 
@@ -23,6 +24,7 @@ class Config:
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
     grips       whether what hands hold is fitted
     start       "rest", or "frames": as fast as the first two say, or "auto": that where frame 0 is no rest (``start.starts_at_rest``)
+    rest        shape: frame 0 "as it lies", or solved such that frame 0 is an "equilibrium" under gravity, ground and grips
     """
 
     pitch: float = 1.0
@@ -35,7 +37,9 @@ class Config:
     members: int = 8
     grips: bool = True
     start: str = "auto"
+    rest: str = "as it lies"
 
     def __post_init__(self):
-        if self.start not in STARTS:
-            raise ValueError(f"start must be one of {', '.join(STARTS)}, got {self.start!r}")
+        for name, choices in (("start", STARTS), ("rest", RESTS)):
+            if getattr(self, name) not in choices:
+                raise ValueError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed
 from ...physics.terms.base import Term
+from .body import body_of
 from .config import Config
 from .fitting import Steps, fit
 from .predictability import predictability
@@ -16,6 +17,7 @@ from .result import Fit
 from .scene import REACH, SHIFT, Scene
 from .simulate import Simulator
 from .unknowns import Unknown, members
+from .unloaded import unloaded
 
 __all__ = ["Estimate", "Sight", "estimate", "unknowns_of"]
 
@@ -24,6 +26,7 @@ LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
 APART = 4.0  # times as stiff, from one start to the next
+UNLOADINGS = 2  # times that a rest shape is solved before a refinement: from the search's stiffness, then from a better one
 MOMENT = 0.1  # s: frames so near say the same
 
 
@@ -45,12 +48,14 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """values by name, the ``fit`` that they come from, notes; ``spread`` (F, N) m for each recording: how far off a sound twin may be."""
+    """values by name, the ``fit`` that they come from, notes; of each recording ``spread`` (F, N) m, how far off a sound twin may be, and
+    its scene, with the rest shape that was solved for if one was."""
 
     values: dict[str, float]
     fit: Fit
     spread: tuple[np.ndarray, ...]
     notes: tuple[str, ...]
+    scenes: tuple[Scene, ...] = ()
 
 
 def jitter(points, seen) -> float:
@@ -134,16 +139,19 @@ def estimate(
         **options,
     )
     spread = _spread(found, task, coarse, config.members, seed) if config.members else np.zeros(len(task.data))
-    if config.refinement:
+    heard = np.hypot(task.noise, spread) if config.members else rough
+    solved = UNLOADINGS if config.rest == "equilibrium" else 0
+    for _ in range(max(1, solved) if config.refinement else 0):
+        task = task.unloaded(recordings, found.values) if solved else task
         at = np.array([[found.values[u.name] for u in task.unknowns]])
         tell = told("refinement", 0.6, 0.4, config.refinement)
-        heard = np.hypot(task.noise, spread) if config.members else rough
         found = fit(
             task.unknowns, task.simulate, task.data, heard, starts=at, steps=Steps(iterations=config.refinement), progress=tell, **options
         )
+    task = task.unloaded(recordings, found.values) if solved else task
     cuts = np.cumsum([s.points.size for s in task.sights])[:-1]
     each = [part.reshape(s.points.shape).mean(2) for part, s in zip(np.split(spread, cuts), task.sights, strict=True)]
-    return Estimate(task.fixed | found.values, found, tuple(each), found.notes)
+    return Estimate(task.fixed | found.values, found, tuple(each), found.notes, tuple(s.scene for s in task.simulators))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +173,15 @@ class Task:
         """The same in cells ``times`` as large."""
         regridded = [replace(s, scene=s.scene.regridded(one, times)) for s, one in zip(self.simulators, recordings, strict=True)]
         return replace(self, simulators=tuple(regridded))
+
+    def unloaded(self, recordings, values) -> Task:
+        """The same with rest shapes such that each frame 0 is an equilibrium at ``values``."""
+        found = []
+        for r, (one, runner) in enumerate(zip(recordings, self.simulators, strict=True)):
+            body = body_of(one, kind="solid", pitch=float(runner.scene.grid.size.mean()))
+            own = own_values(self.fixed | values, r)
+            found.append(replace(runner, scene=unloaded(runner.scene, body, own, extra=runner.extra, device=runner.device)))
+        return replace(self, simulators=tuple(found))
 
     @property
     def data(self) -> np.ndarray:

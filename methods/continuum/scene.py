@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,11 +17,12 @@ from .held import falloff
 from .start import starts_at_rest
 from .velocity import Field, Launch, launched
 
-__all__ = ["REACH", "Grasp", "Scene", "posed"]
+__all__ = ["REACH", "Equilibrium", "Grasp", "Scene", "posed"]
 
 REACH = 2.0  # times the usual radius of a grip, at most, that is fitted
 SAME = 1e-9  # m: controllers that start where the recording's do
 SHIFT = 0.015  # m, at most, that the place of a grip is off
+FOUND = 60  # rounds in which a place in the rest shape is found: where the body has turned by 40 degrees each gains a third of a digit
 HALF = 0.5 + 1e-6  # of a cell, from a driven marker to a node that it carries
 
 
@@ -39,13 +40,23 @@ class Grasp:
 
 
 @dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """Frame 0 of a body that is under load there: ``nodes`` (N, 3) m of the grid of its rest shape, and its ``modulus`` [Pa]."""
+
+    nodes: np.ndarray
+    modulus: float
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Lengths in m, in the room of the recording.
 
-    grid       of the body in frame 0, where it is at rest; ``surface`` (S, 3) points of its skin and their ``area`` [m^2]
+    grid       of the body at rest, which is frame 0 unless there is an ``equilibrium``; ``surface`` (S, 3) points of its skin in frame 0
+               and their ``area`` [m^2]
     structure  (M, 3) the recording's points in frame 0, ``counts`` of tracked, surface and interior ones
     hands      as they move in the recording, ``controllers`` (T, C, 3) and ``grips`` (C,) as in it; ``radius`` of a grip
     gravity    (3,) m/s^2; ground or None; fps
+    weights    (k, 4) kg, and m where in frame 0, of point masses that are told to be on the body (a body weighs ``DENSITY``)
     launch     how it moves from frame 0 to frame 1, or None: it starts at rest
     """
 
@@ -63,7 +74,9 @@ class Scene:
     ground: Plane | None
     fps: float
     notes: tuple[str, ...] = ()
+    weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     launch: Launch | None = None
+    equilibrium: Equilibrium | None = None
 
     @classmethod
     def of(cls, recording: Observed, body: SolidBody, start: str = "rest") -> Scene:
@@ -106,7 +119,7 @@ class Scene:
         return replace(self, launch=launched(recording, self.grid, *self._led, led))
 
     @cached_property
-    def field(self) -> Field:
+    def speeds(self) -> Field:
         """The velocity field that the tracks of ``launch`` tell."""
         return Field(self.grid, self.launch.places, self.launch.weight, *self._led)
 
@@ -116,15 +129,38 @@ class Scene:
         usual = np.zeros((len(self.hands), 3)), np.ones(len(self.hands))
         return self.points.home[self.grasp.points], self.firmness(*usual), self.fastened[0]
 
+    @property
+    def nodes(self) -> np.ndarray:
+        """(N, 3) m, the grid's nodes in frame 0."""
+        return self.grid.positions if self.equilibrium is None else self.equilibrium.nodes
+
+    def under(self, modulus: float) -> Scene:
+        """The same body of another ``modulus`` [Pa]: one that is twice as soft is twice as far from its rest shape."""
+        if self.equilibrium is None or modulus == self.equilibrium.modulus:
+            return self
+        home = self.grid.positions
+        nodes = home + (self.equilibrium.nodes - home) * (self.equilibrium.modulus / modulus)
+        return replace(self, equilibrium=Equilibrium(nodes, modulus))
+
+    def at_rest(self, places) -> np.ndarray:
+        """(n, 3) m, where in the rest shape what is at ``places`` (n, 3) in frame 0 is."""
+        found = np.array(places, float)
+        for _ in range(FOUND if self.equilibrium else 0):
+            carriers, weights = self.grid.locate(found)
+            found += places - np.einsum("mk,mki->mi", weights, self.nodes[carriers])
+        return found
+
     @cached_property
     def points(self) -> Points:
-        """The material points, nobody holding them yet."""
-        return material_points(self.grid, DENSITY, self.surface, self.area)
+        """The material points where they are in frame 0, nobody holding them yet."""
+        made = material_points(self.grid, DENSITY, self.at_rest(self.surface), self.area)
+        made = made if not len(self.weights) else _with_weights(made, self.grid, self.weights[:, 0], self.at_rest(self.weights[:, 1:]))
+        return made if self.equilibrium is None else replace(made, home=made.positions(self.nodes))
 
     @cached_property
     def embedding(self) -> tuple[np.ndarray, np.ndarray]:
         """(nodes (M, 8), weights (M, 8)) that carry the structure points."""
-        return self.grid.locate(self.structure)
+        return self.grid.locate(self.at_rest(self.structure))
 
     @cached_property
     def grips_at(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
@@ -177,11 +213,11 @@ class Scene:
         where it reaches 2 cm into one of 10 cm.
         """
         owner = np.full(len(self.grid.positions), -1)
-        places = (self.grid.positions - self.grid.origin) @ self.grid.axes.T / self.grid.size
+        at_rest = (self.grid.positions - self.grid.origin) @ self.grid.axes.T / self.grid.size
         for k, hand in enumerate(self.hands):
             if self.driven(hand):
-                at = (self.controllers[0, hand.controllers] - self.grid.origin) @ self.grid.axes.T / self.grid.size
-                owner[np.abs(places[:, None] - at).max(2).min(1) <= HALF] = k
+                at = (self.at_rest(self.controllers[0, hand.controllers]) - self.grid.origin) @ self.grid.axes.T / self.grid.size
+                owner[np.abs(at_rest[:, None] - at).max(2).min(1) <= HALF] = k
         nodes = np.flatnonzero(owner >= 0)
         return nodes, owner[nodes]
 
@@ -194,10 +230,10 @@ class Scene:
         return found
 
     def carried(self, hands=None) -> np.ndarray:
-        """(T, n + f, 3) m, where ``hands`` (the recording's own unless given) carry the points of the grasp and the nodes that are fastened."""
+        """(T, n + f, 3) m, where ``hands`` (the recording's own unless given) carry the grasp's points and the nodes that are fastened."""
         hands = self.hands if hands is None else hands
         nodes, owner = self.fastened
-        home = np.concatenate([self.points.home[self.grasp.points], self.grid.positions[nodes]])
+        home = np.concatenate([self.points.home[self.grasp.points], self.nodes[nodes]])
         held_by = np.concatenate([self.grasp.hand, owner])
         path = np.repeat(home[None], len(hands[0].centre) if hands else len(self.controllers), 0)
         for k, hand in enumerate(hands):
@@ -216,6 +252,14 @@ class Scene:
             turned = steadied(rotation[1:] @ rotation[1].T, self.fps) @ at_start
             found.append(replace(hand, rotation=turned, centre=centre[1:], turns=told))
         return tuple(found)
+
+
+def _with_weights(points: Points, grid: Grid, masses, places) -> Points:
+    """``points`` and point ``masses`` (k,) [kg] at ``places`` (k, 3) [m] of the rest shape."""
+    nodes, weights = grid.locate(places)
+    none = np.zeros(len(masses))
+    more = dict(nodes=nodes, weights=weights, home=places, masses=masses, areas=none, holds=none.astype(int) - 1, held=none)
+    return Points(**{name: np.concatenate([getattr(points, name), new]) for name, new in more.items()})
 
 
 def _apart(points, places):

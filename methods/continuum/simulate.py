@@ -20,6 +20,8 @@ __all__ = ["GRIP", "Simulator"]
 
 GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius over the usual one
 FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
+LONGEST = 600  # frames
+STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
 LAUNCHES = 2  # runs of one frame that correct a start velocity: in each a motion of a tenth of a period a frame is met to a tenth
 STEP = 0.1  # relative, in which stiffness and damping are rounded up where the substep is chosen: a search keeps its substeps
 
@@ -49,7 +51,7 @@ class Simulator:
             names = [f"coulomb_{name}" for name in ("normal_x", "normal_y", "normal_z", "offset")]
             terms += [CoulombGround(dict(zip(names, plane, strict=True)))]
         return System(
-            positions=scene.grid.positions,
+            positions=scene.nodes,
             springs=np.zeros((0, 2), int),
             stiffness=[],
             controllers=scene.carried()[:1],
@@ -65,15 +67,49 @@ class Simulator:
 
         ``hands`` move otherwise than in the recording, if given.
         """
+        if self.scene.equilibrium is not None and len(values) > 1:  # frame 0 is under another strain in each
+            return np.concatenate([self.run([one], frames, hands) for one in values])
         values = [self._complete(v) for v in values]
-        substeps, rounds = np.array([self._steps(v) for v in values]).T
-        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)
-        inputs = replace(batch.inputs, **self._inputs(batch, values, frames, hands))
+        if (own := self.scene.under(values[0]["youngs_modulus"])) is not self.scene:
+            return self._other(own).run(values, frames, hands)
+        batch, inputs = self._batch(values, frames, hands)
         with torch.no_grad():
             if self.scene.launch is not None:
                 inputs = replace(inputs, v=self._speed(batch, inputs))
             out = torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]])
         return np.stack([self._observed(path) for path in batch.split(out)])
+
+    def settle(self, values) -> np.ndarray:
+        """(N, 3) m, where the nodes come to rest while hands stay as they are in frame 0.
+
+        By dynamic relaxation: whenever the kinetic energy has passed a peak, all is stopped (Day 1965; Cundall 1976). Raises ValueError
+        where the body falls apart, or still moves after ``LONGEST`` frames.
+        """
+        batch, inputs = self._batch([self._complete(values)], 1, None)
+        share, before = (inputs.mass / inputs.mass.sum())[:, None], 0.0
+        with torch.no_grad():
+            for _ in range(LONGEST):
+                _, x, v, carried = batch.march(0, 1, inputs, whole=True)
+                inputs = replace(inputs, x=x, v=v, **vars(carried))
+                energy = float((share * v * v).sum())
+                if energy < before:
+                    if before < STILL**2:
+                        return batch.split(x)[0].double().cpu().numpy()
+                    inputs, energy = replace(inputs, v=torch.zeros_like(v)), 0.0
+                before = energy
+        raise ValueError(f"a body must come to rest where it is held, but moved after {LONGEST} frames (scenario {self.scene.name})")
+
+    def _other(self, scene) -> Simulator:
+        """The same of another scene, whose substeps are as these."""
+        other = Simulator(scene, self.extra, self.device)
+        other.__dict__["_known_steps"] = self._known_steps
+        return other
+
+    def _batch(self, values, frames, hands):
+        """(the batch of ``values``, its inputs)."""
+        substeps, rounds = np.array([self._steps(v) for v in values]).T
+        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)
+        return batch, replace(batch.inputs, **self._inputs(batch, values, frames, hands))
 
     def _complete(self, values):
         """``values`` with everything that terms and grips ask for."""
@@ -102,15 +138,15 @@ class Simulator:
         fast, so that what a run of one frame misses is added.
         """
         scene = self.scene
-        goal, speed = scene.field.seen(scene.launch.velocity), torch.zeros_like(inputs.v)
+        goal, speed = scene.speeds.seen(scene.launch.velocity), torch.zeros_like(inputs.v)
         for own in batch.split(speed):
             own[:] = torch.as_tensor(scene.launch.velocity)
         for _ in range(LAUNCHES):
             gone = (batch.march(0, 1, replace(inputs, v=speed))[0][0] - inputs.x) * scene.fps
             for own, far in zip(batch.split(speed), batch.split(gone), strict=True):
-                missed = goal - scene.field.seen(far.double().cpu().numpy())
+                missed = goal - scene.speeds.seen(far.double().cpu().numpy())
                 if np.isfinite(missed).all():
-                    own += torch.as_tensor(scene.field.solve(missed, scene.launch.steady)).to(speed)
+                    own += torch.as_tensor(scene.speeds.solve(missed, scene.launch.steady)).to(speed)
         return speed
 
     def _grips(self, values):

@@ -72,17 +72,24 @@ def start_velocity(recording: Observed) -> np.ndarray:
 
 
 def seen_velocity(recording: Observed) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """(places (n, 3) m in frame 0, velocities (n, 3) m/s to frame 1, weights (n,), noise [m/s] of a coordinate) of tracks that nobody drives.
+    """What tracks that nobody drives do between the first two frames.
 
-    Weights are those of ``start_velocity``, 1 where a dozen tracks or fewer were seen. Raises ValueError as it does.
+    (places (n, 3) m in frame 0, velocities (n, 3) m/s, weights (n,), noise [m/s] of a coordinate). Weights are those of ``start_velocity``,
+    1 where a dozen tracks or fewer were seen. The noise is told by the jitter of all frames; where there are fewer than five, by what the
+    tracks are off that field, and so few tracks count as exact. Raises ValueError as it does.
     """
     seen = _seen_twice(recording)
     free = seen & ~np.isin(np.arange(len(seen)), recording.grips)
     seen = free if free.any() else seen
     first, second = recording.points[0, seen], recording.points[1, seen]
-    velocity = (second - first) * recording.fps
-    weight = _fitted(first, velocity, ROUNDS)[1] if seen.sum() > FEWEST else np.ones(int(seen.sum()))
-    return first, velocity, weight, np.sqrt(2) * recording.fps * _noise(recording.points[:, seen], recording.visible[:, seen])
+    velocity, count = (second - first) * recording.fps, int(seen.sum())
+    weight, off = np.ones(count), 0.0
+    if count > FEWEST:
+        field, weight = _fitted(first, velocity, ROUNDS)
+        off = np.sqrt(np.average(((velocity - field(first)) ** 2).mean(1), weights=weight) * count / (count - FEWEST / 3))
+    if recording.observed_frames > FIRST + 1:
+        off = np.sqrt(2) * recording.fps * _noise(recording.points[:, seen], recording.visible[:, seen])
+    return first, velocity, weight, float(off)
 
 
 def _seen_twice(recording):

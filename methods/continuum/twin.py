@@ -17,8 +17,9 @@ from ..base import Diverged, Trajectory, Twin
 from ..registration import align, rigid_transform
 from .body import body_of
 from .hands import Hand
-from .scene import REACH, Scene, posed
+from .scene import REACH, Equilibrium, Scene, posed
 from .simulate import Simulator
+from .unloaded import unloaded
 from .velocity import Launch
 
 __all__ = ["ContinuumTwin"]
@@ -65,9 +66,10 @@ class ContinuumTwin(Twin):
         """The same body and material in ``target``'s frame 0, held by its hands there.
 
         The rest shape is moved rigidly to where the target's points lie; where they are shaped otherwise it is taken from them instead.
-        Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance.
+        Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance. It starts at rest, unless
+        exactly two frames are given, as ``Scenario.start_frames`` may declare: then as fast as they say.
         """
-        scene, target = self.scene, _initial(target)
+        scene, given, target = self.scene, target, _initial(target)
         outer = sum(scene.counts[:2])
         cloud = target.structure[: sum(target.counts[:2])]
         laid = align(scene.structure, cloud, surface=outer)
@@ -75,17 +77,22 @@ class ContinuumTwin(Twin):
         if apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0)):
             rotation, shift = rigid_transform(scene.structure, laid)
             grid, surface, area = posed(scene.grid, rotation, shift), scene.surface @ rotation.T + shift, scene.area
-            notes = ()
+            notes, same = (), scene.equilibrium
+            same = same and replace(same, nodes=same.nodes @ rotation.T + shift)
         else:
             body = body_of(target, kind="solid", pitch=float(scene.grid.size.mean()))
-            grid, surface, area = body.grid, body.surface, body.area
+            grid, surface, area, same = body.grid, body.surface, body.area, None
             notes = ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
-        there = Scene.in_grid(target, grid, surface, area, notes)
+        there = replace(Scene.in_grid(target, grid, surface, area, notes), equilibrium=same)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
         wide = [self.values.get(f"grip{k}_reach", 1.0) * radius for k, radius in enumerate(scene.grips_at[1]) if len(scene.hands[k].points)]
         if wide:  # hands hold as much there as they were found to hold here
             typical = float(np.exp(np.mean(np.log(wide))))
             values |= {f"grip{k}_reach": float(np.clip(typical / r, 1 / REACH, REACH)) for k, r in enumerate(there.grips_at[1])}
+        if scene.equilibrium and not same:
+            there = unloaded(there, body, values, extra=self.extra, device=self.device)
+        if given.observed_frames == 2:
+            there = there.starting(given, "frames")
         return replace(self, scene=there, values=values)
 
     def save(self, folder: Path) -> None:
@@ -93,7 +100,7 @@ class ContinuumTwin(Twin):
         folder.mkdir(parents=True, exist_ok=True)
         scene, grid = self.scene, self.scene.grid
         arrays = {f"grid_{f.name}": getattr(grid, f.name) for f in fields(Grid)}
-        arrays |= {name: getattr(scene, name) for name in ("surface", "structure", "controllers", "grips", "gravity")}
+        arrays |= {name: getattr(scene, name) for name in ("surface", "structure", "controllers", "grips", "gravity", "weights")}
         for k, hand in enumerate(scene.hands):
             arrays |= {f"hand{k}_{f.name}": getattr(hand, f.name) for f in fields(Hand) if f.name not in ("turns", "notes")}
         state = {name: getattr(scene, name) for name in ("name", "area", "counts", "radius", "fps", "notes")}
@@ -104,6 +111,8 @@ class ContinuumTwin(Twin):
         )
         if scene.launch is not None:
             arrays |= {f"launch_{f.name}": getattr(scene.launch, f.name) for f in fields(Launch)}
+        if scene.equilibrium is not None:
+            arrays |= {f"equilibrium_{f.name}": getattr(scene.equilibrium, f.name) for f in fields(Equilibrium)}
         np.savez_compressed(folder / "twin.npz", **arrays)
         (folder / "twin.json").write_text(json.dumps(state, indent=1), encoding="utf-8")
 
@@ -119,10 +128,12 @@ class ContinuumTwin(Twin):
             own = {f.name: arrays[f"hand{k}_{f.name}"] for f in fields(Hand) if f.name not in ("turns", "notes")}
             hands.append(Hand(**own, turns=turns, notes=tuple(notes)))
         ground = None if state["ground"] is None else Plane(np.array(state["ground"][:3]), state["ground"][3])
-        known = {name: arrays[name] for name in ("surface", "structure", "controllers", "grips", "gravity")}
+        known = {name: arrays[name] for name in ("surface", "structure", "controllers", "grips", "gravity", "weights") if name in arrays}
         known |= {name: state[name] for name in ("name", "area", "radius", "fps")}
-        if "launch_velocity" in arrays:
-            known["launch"] = Launch(**{f.name: arrays[f"launch_{f.name}"] for f in fields(Launch)})
+        for kind in (Launch, Equilibrium):
+            name = kind.__name__.lower()
+            own = {f.name: arrays.get(f"{name}_{f.name}") for f in fields(kind)}
+            known[name] = None if any(value is None for value in own.values()) else kind(**own)
         scene = Scene(grid=grid, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
         return cls(scene, state["values"], extra, state["posterior"], state["device"])

@@ -63,7 +63,7 @@ class Field:
         return self._carry @ nodes
 
     def solve(self, wanted, steady: float, led=None) -> np.ndarray:
-        """(N, 3) m/s, the field whose weighted mean squared misfit of ``wanted`` (n, 3) and ``steady`` times squared strain rates are least.
+        """(N, 3) m/s: the weighted mean squared misfit of ``wanted`` (n, 3) and ``steady`` times squared strain rates are least.
 
         led  (h + f, 3) m/s of what hands carry; it stays where it is unless given
         """
@@ -121,8 +121,10 @@ def launched(recording: Observed, grid: Grid, held, firmness, fixed, led) -> Lau
 
 
 def strain_rates(grid: Grid):
-    """(3 N, 3 N) sparse Q: v . Q v is the mean over the body of its squared strain rates (and ``SPIN`` times those of rotation), in units of
-    the mean over its nodes of squared velocities a cell; v (N, 3) in the grid's axes."""
+    """(3 N, 3 N) sparse Q: v . Q v is the mean over the body of squared strain rates, and of ``SPIN`` times squared rates of rotation.
+
+    v (N, 3) in m/s and the grid's axes, rates in m/s a cell.
+    """
     from scipy.sparse import coo_matrix
 
     modes = strain_modes(grid.points, grid.size, LATERAL)
