@@ -122,7 +122,7 @@ def main(arguments=None) -> None:
     for model, pitch in itertools.product(given.models, given.pitch):
         config = replace(CONFIG, pitch=pitch, start=given.start, starts=given.starts, iterations=given.iterations)
         begun = time.process_time()
-        twin = Continuum().fitted([bare.observed()], config, **MODELS[model])
+        twin = Continuum().fitted([bare.observed()], config, **MODELS[model], progress=lambda stage, _share: print(stage, flush=True))
         rows.append(dict(model=model, pitch=pitch) | _row(twin, bare, heavy) | dict(seconds=time.process_time() - begun))
         print(json.dumps(rows[-1]), flush=True)
         if given.out:

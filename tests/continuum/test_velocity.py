@@ -12,7 +12,8 @@ from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.twin import ContinuumTwin
 from twinbench.methods.continuum.velocity import strain_rates
 
-LENGTH, THICK, FPS, FRAMES = 0.16, 0.03, 60.0, 14
+LENGTH, THICK, FPS, FRAMES = 0.15, 0.03, 60.0, 14
+PITCH = 0.0301  # m: five cells, one layer
 SOFT = dict(youngs_modulus=1e5, damping_time=0.002, drag_damping=0.3)
 
 
@@ -45,7 +46,7 @@ def going(field, frames=5):
 
 
 def scene_of(recording, start="frames"):
-    return Scene.of(recording, body_of(recording, kind="solid"), start)
+    return Scene.of(recording, body_of(recording, kind="solid", pitch=PITCH), start)
 
 
 def test_a_field_without_strain_costs_nothing_and_a_shear_what_it_is():
@@ -59,7 +60,7 @@ def test_a_field_without_strain_costs_nothing_and_a_shear_what_it_is():
 
 
 def test_the_tip_of_a_clamped_bar_leads_it_as_a_tip_load_would():
-    # least strain with the tip's face moving across without turning, as of a guided end: v(x) / v(L) = (3 s^2 - 2 s^3 + phi s) / (1 + phi) with
+    # least strain where the tip's face moves across without turning, a guided end: v(x) / v(L) = (3 s^2 - 2 s^3 + phi s) / (1 + phi), with
     # s = x / L and the share of shear phi = 12 E I / (k G A L^2) = 12 / 5 (h / L)^2, E = 2 G where strain rates alone count
     made = going(lambda x: np.where(x[:, :1] > LENGTH - 1e-9, [[0.0, 0.0, 0.1]], 0.0))
     tip = made.visible & (lattice()[:, 0] > LENGTH - 1e-9)
@@ -71,7 +72,7 @@ def test_the_tip_of_a_clamped_bar_leads_it_as_a_tip_load_would():
 
 
 def test_noise_of_tracks_hardly_reaches_the_nodes():
-    # 1 mm of noise is 85 mm/s between two frames; a rigid field has 6 numbers of 400 tracks: sqrt(6 / 1200) * 85 = 6 mm/s, strains some more
+    # 1 mm of noise is 85 mm/s between two frames; a rigid field has 6 numbers of 525 tracks: sqrt(6 / 1575) * 85 = 5 mm/s, strains some more
     made = going(lambda x: np.cross([0.0, 1.0, 0.0], x), frames=12)
     noisy = made.points + np.random.default_rng(0).normal(0, 1e-3, made.points.shape)
     free = replace(made, points=noisy, controllers=np.zeros((12, 0, 3)), grips=np.zeros(0, int))
@@ -94,7 +95,7 @@ def swing():
 
 def test_a_body_that_moves_in_frame_0_goes_on(swing):
     # the same engine and numbers: what is left is what two frames cannot tell of the start, a few percent of the swing of 17 mm
-    recording, start = swing
+    recording, _start = swing
     scene = scene_of(recording, "auto")
     assert any("start velocity" in note for note in scene.notes)
     moving = Simulator(scene).run([SOFT], FRAMES)[0]
