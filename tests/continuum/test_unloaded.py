@@ -81,7 +81,7 @@ def test_it_stays_where_it_was_seen_whatever_its_stiffness(hanging):
 
 
 def test_it_swings_as_a_straight_bar_does(hanging):
-    # f_b = 1.8751^2 / (2 pi) sqrt(E h^2 / (12 rho)) / L^2 of Euler's beam; with shear 1 / f^2 = 1 / f_b^2 + 1 / f_s^2 (Dunkerley), f_s = c / 4 L
+    # f_b = 1.8751^2 / (2 pi) sqrt(E h^2 / (12 rho)) / L^2 of Euler's beam; with shear 1 / f^2 = 1 / f_b^2 + 1 / f_s^2, f_s = c / (4 L)
     _, _, scene = hanging
     bent = 1.8751**2 / 2 / np.pi * np.sqrt(YOUNG * THICK**2 / 12 / DENSITY) / LENGTH**2
     sheared = np.sqrt(5 / 6 * YOUNG / 2.6 / DENSITY) / 4 / LENGTH
@@ -118,7 +118,7 @@ def test_what_cannot_carry_itself_or_moves_is_said(hanging):
 
 @pytest.mark.slow
 def test_a_fit_does_not_find_the_stiffness_that_it_began_with(hanging):
-    # the bar hangs and is shaken: its rest shape is solved for at another stiffness first, which a fit that kept that shape would find again
+    # the bar hangs and is shaken; its rest shape is solved for at another stiffness first, which a fit that kept it would find again
     recording, _, scene = hanging
     shaken = 0.015 * np.sin(2 * np.pi * 3 * np.arange(24) / FPS)[:, None, None] * [0, 0, 1]
     path = held(np.repeat(recording.points[:1], 24, 0) + shaken)

@@ -72,7 +72,7 @@ def test_the_tip_of_a_clamped_bar_leads_it_as_a_tip_load_would():
 
 
 def test_noise_of_tracks_hardly_reaches_the_nodes():
-    # 1 mm of noise is 85 mm/s between two frames; a rigid field has 6 numbers of 525 tracks: sqrt(6 / 1575) * 85 = 5 mm/s, strains some more
+    # 1 mm of noise is 85 mm/s from frame to frame; a rigid field has 6 numbers of 525 tracks: sqrt(6 / 1575) * 85 = 5 mm/s, strains more
     made = going(lambda x: np.cross([0.0, 1.0, 0.0], x), frames=12)
     noisy = made.points + np.random.default_rng(0).normal(0, 1e-3, made.points.shape)
     free = replace(made, points=noisy, controllers=np.zeros((12, 0, 3)), grips=np.zeros(0, int))
