@@ -22,7 +22,7 @@ GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius
 FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
 LONGEST = 600  # frames
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
-LAUNCHES = 2  # runs of one frame that correct a start velocity: in each a motion of a tenth of a period a frame is met to a tenth
+LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
 STEP = 0.1  # relative, in which stiffness and damping are rounded up where the substep is chosen: a search keeps its substeps
 
 
@@ -137,16 +137,22 @@ class Simulator:
         Two frames tell the mean velocity between them. A body that has just been let go and starts with that is half a frame's fall too
         fast, so that what a run of one frame misses is added.
         """
-        scene = self.scene
-        goal, speed = scene.speeds.seen(scene.launch.velocity), torch.zeros_like(inputs.v)
-        for own in batch.split(speed):
-            own[:] = torch.as_tensor(scene.launch.velocity)
-        for _ in range(LAUNCHES):
+        scene, speed = self.scene, torch.zeros_like(inputs.v)
+        goal = scene.speeds.seen(scene.launch.velocity)
+        best = [(np.inf, np.zeros_like(scene.launch.velocity), None)] * len(batch.systems)  # (missed, m/s of the nodes, of the tracks)
+        tried = [scene.launch.velocity] * len(best)
+        for _ in range(LAUNCHES + 1):
+            for own, one in zip(batch.split(speed), tried, strict=True):
+                own[:] = torch.as_tensor(one)
             gone = (batch.march(0, 1, replace(inputs, v=speed))[0][0] - inputs.x) * scene.fps
-            for own, far in zip(batch.split(speed), batch.split(gone), strict=True):
+            for k, far in enumerate(batch.split(gone)):
                 missed = goal - scene.speeds.seen(far.double().cpu().numpy())
-                if np.isfinite(missed).all():
-                    own += torch.as_tensor(scene.speeds.solve(missed, scene.launch.steady)).to(speed)
+                if (size := np.abs(missed).mean()) < best[k][0]:  # a run that diverged has NaN, which is never less
+                    best[k] = size, tried[k], missed
+                _size, own, missed = best[k]
+                tried[k] = own if missed is None else own + scene.speeds.solve(missed, scene.launch.steady)
+        for own, (_size, one, _missed) in zip(batch.split(speed), best, strict=True):
+            own[:] = torch.as_tensor(one)
         return speed
 
     def _grips(self, values):

@@ -28,6 +28,7 @@ STEADIEST, LOOSEST = (
     -6,
 )  # powers of ten of the strain rates' weight, over that of the tracks; rotations are hardly held back even at the first
 HALVINGS = 12  # of that range: to a hundredth of a power
+WORSE = 1.1  # times the misfit of the least steady field: where no field agrees better, it need not strain for the rest
 EXACT = 1e-5  # m/s: noise of tracks that were simulated
 
 
@@ -115,11 +116,16 @@ def launched(recording: Observed, grid: Grid, held, firmness, fixed, led) -> Lau
     """
     places, wanted, weight, noise = seen_velocity(recording)
     field = Field(grid, places, weight, held, firmness, fixed)
+
+    def missed(power):
+        off = ((field.seen(field.solve(wanted, 10.0**power, led)) - wanted) ** 2).mean(1)
+        return float(np.sqrt(np.average(off, weights=weight)))
+
     low, high = float(LOOSEST), float(STEADIEST)
+    enough = max(noise, EXACT, WORSE * missed(low))
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        off = ((field.seen(field.solve(wanted, 10.0**middle, led)) - wanted) ** 2).mean(1)
-        low, high = (middle, high) if np.average(off, weights=weight) < max(noise, EXACT) ** 2 else (low, middle)
+        low, high = (middle, high) if missed(middle) < enough else (low, middle)
     return Launch(field.solve(wanted, 10.0**low, led), places, weight, 10.0**low)
 
 
