@@ -20,9 +20,13 @@ __all__ = ["Checksums", "checksum", "image_checksum", "images_of", "observed_che
 
 
 def checksum(scenario: Scenario) -> str:
-    """Hexadecimal SHA-256 of everything a scenario holds but its name and its images (which are read lazily)."""
+    """Hexadecimal SHA-256 of everything a scenario holds but its name and its images (which are read lazily).
+
+    The usual protocol, in which one frame shows how it starts, has no part in it.
+    """
     state = hashlib.sha256()
-    _feed(state, {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name != "name"})
+    usual = {"name"} | ({"start_frames"} if scenario.start_frames == 1 else set())
+    _feed(state, {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name not in usual})
     return state.hexdigest()
 
 

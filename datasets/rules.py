@@ -61,6 +61,9 @@ def scenario_rules(values: Mapping[str, Any]) -> Findings:
     frames = len(good["points"]) if "points" in good else None
     if split is not None and frames not in (None, split.frame_count):
         yield error("split", f"must speak of the recording's {frames} frames, got {split.frame_count}")
+    start = values.get("start_frames", 1)
+    if isinstance(start, bool) or start not in (1, 2) or (split is not None and start > split.train_end):
+        yield error("start_frames", f"must be 1 or 2, and no more than are fitted, got {shown(start)}")
     return good
 
 

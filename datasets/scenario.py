@@ -181,12 +181,15 @@ class Observed:
 class Scenario(Observed):
     """One whole recording with its split. Frozen and validated when built; methods get ``observed()``, never this.
 
-    split   which frames may be fitted
-    tracks  (T, K, 3) ground-truth tracks, metres, NaN where not annotated, or None
+    split         which frames may be fitted
+    tracks        (T, K, 3) ground-truth tracks, metres, NaN where not annotated, or None
+    start_frames  how many first frames whoever places a twin in this recording may see, a protocol for all methods alike: 1, or 2 where
+                  the body moves in frame 0 already and its velocity is told (as in DEFORM's evaluation)
     """
 
     split: Split
     tracks: np.ndarray | None = None
+    start_frames: int = 1
 
     @staticmethod
     def _rules(values) -> Findings:
@@ -203,8 +206,8 @@ class Scenario(Observed):
         return self.until(frames)
 
     def initial(self) -> Observed:
-        """Frame 0 and the controllers: what a twin fitted elsewhere gets to know of a transfer target."""
-        return self.observed(1)
+        """Frame 0, or as many as ``start_frames`` declares, and the controllers: what a twin fitted elsewhere gets to know of a target."""
+        return self.observed(self.start_frames)
 
     def with_split(self, train_end: int) -> Scenario:
         """The same recording with another train range."""

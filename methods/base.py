@@ -71,7 +71,11 @@ class Twin(ABC):
 
     @abstractmethod
     def retarget(self, target: Observed) -> Twin:
-        """The same object placed in frame 0 of another recording. May look at ``target``'s frame 0 and controllers only."""
+        """The same object placed in frame 0 of another recording.
+
+        May look at ``target``'s frame 0 and controllers only; where exactly two frames are given (``Scenario.start_frames``), at frame 1
+        too, for the velocity at the start.
+        """
 
     @abstractmethod
     def save(self, folder: Path) -> None:

@@ -38,16 +38,17 @@ class Continuum(Method):
         """The twin of ``observed`` by ``config``; ``told`` goes to ``estimate``: further terms, values that are known."""
         from .estimate import estimate, own_values
         from .joint import placed, scenes_of
+        from .simulate import Simulator
         from .twin import ContinuumTwin, posterior_of
 
         used, scenes, body = scenes_of(observed, config, seed=seed)
         found = estimate(used, scenes, config, seed=seed, device=device, progress=progress, **told)
         values = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
-        scene = placed(observed[0], body, config)
+        scene, extra = placed(observed[0], body, config), tuple(told.get("extra", ()))
+        if config.rest == "equilibrium":
+            scene = Simulator(scene, extra, device).unloaded(observed[0], values)
         scene = replace(scene, notes=(*scene.notes, *_said(found)))
-        return ContinuumTwin(
-            scene, values, tuple(told.get("extra", ())), posterior_of(found), device, "rest" if scene.speeds is None else "frames"
-        )
+        return ContinuumTwin(scene, values, extra, posterior_of(found), device)
 
     def skip(self, scenario) -> str | None:
         from .bodies import bodies_of

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -13,8 +13,9 @@ from ...physics.points import Points
 from ...physics.terms.base import Term
 from .body import SolidBody, body_of
 from .config import Config
-from .start import start_velocity
+from .start import Speeds, start_velocity
 from .unknowns import Unknown
+from .velocity import Launch, Lead
 
 __all__ = ["Body", "bodies_of", "class_of"]
 
@@ -74,6 +75,10 @@ class Body(ABC):
         """(M,) the node that a structure point is, or -1: a driven marker that is a node is moved as it was, not pulled along."""
         return np.full(len(self.structure), -1)
 
+    def fastened(self, places: np.ndarray) -> np.ndarray:
+        """(f,) nodes beside driven markers at ``places`` (n, 3) m, which these carry rigidly; none unless a kind says so."""
+        return np.zeros(0, int)
+
     def held_middle(self, hand: np.ndarray, near: np.ndarray) -> np.ndarray:
         """(3,) m, around where a hand whose controllers' middle is at ``hand`` (3,) holds the points that have mass, ``near`` (P,) it."""
         home = self.points.home[self.points.masses > 0]
@@ -105,13 +110,35 @@ class Body(ABC):
     def followed(self, path: np.ndarray) -> np.ndarray:
         """(T, M, 3) m, the structure points while the nodes go along ``path`` (T, N, 3)."""
 
-    def speeds(self, recording: Observed) -> np.ndarray:
-        """(M, 3) m/s of the structure points in frame 0, from the recording's first two frames."""
-        return start_velocity(recording)
+    def speeds(self, recording: Observed) -> Speeds:
+        """How fast it is in frame 0, from the recording's first frames: its structure points, smoothly, unless a kind says more."""
+        return Speeds.of(self.structure, start_velocity(recording))
+
+    def launched(self, speeds: Speeds, lead: Lead) -> Launch:
+        """How the nodes start where the body moves at ``speeds`` and hands ``lead`` it: at ``moving``, unless a kind knows more."""
+        return Launch(self.moving(speeds.velocity))
 
     def moving(self, speeds: np.ndarray) -> np.ndarray:
         """(N, 3) m/s of the nodes in frame 0 where the structure points move at ``speeds`` (M, 3)."""
-        raise ValueError(f"a {self.kind} can only start at rest")
+        raise NotImplementedError
+
+    # ---------------------------------------------------------------- under load in frame 0
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether a rest shape was solved for such that frame 0 is an equilibrium."""
+        return False
+
+    def under(self, values: dict[str, float]) -> Body:
+        """The same body in frame 0 if it is of complete ``values``, on which the way from its rest shape to frame 0 may depend."""
+        return self
+
+    def unloaded(self, recording: Observed, values: dict[str, float], settle: Callable[[Body], np.ndarray]) -> Body:
+        """The same with a rest shape such that frame 0 is its equilibrium at complete ``values``.
+
+        settle  (N, 3) m, where the nodes of such a body come to rest. Raises ValueError where there is no such shape, or no way to find it.
+        """
+        raise ValueError(f"a rest shape can be solved for of a solid, got a {self.kind} (scenario {recording.name})")
 
     # ---------------------------------------------------------------- fitted
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DENSITY", "Config"]
+__all__ = ["DENSITY", "RESTS", "STARTS", "Config"]
 
 DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it show in a motion
+RESTS = ("as it lies", "equilibrium")
+STARTS = ("auto", "rest", "frames")
 
 
 @dataclass(frozen=True)
@@ -19,7 +21,8 @@ class Config:
     coarse      how many times as large cells are in the search
     recordings  that are fitted jointly, at most; None: as many as suit the kind of body
     seconds     of each that are fitted, from any frame in which the whole body is known; None: as suits the kind, or all
-    start       how a recording starts: at "rest", as its first two "frames" say where they are known, or "auto": at rest if it looks so
+    start       how a recording starts: at "rest", as its first "frames" say, or "auto": so where frame 0 is no rest (``start``)
+    rest        shape: frame 0 "as it lies", or solved such that frame 0 is an "equilibrium" under gravity, ground and grips
     frames      observed frames of each that are fitted, or None: all
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
     grips       whether what hands hold is fitted
@@ -32,11 +35,13 @@ class Config:
     coarse: float = 1.5
     recordings: int | None = None
     seconds: float | None = None
-    start: str = "rest"
+    start: str = "auto"
+    rest: str = "as it lies"
     frames: int | None = None
     members: int = 8
     grips: bool = True
 
     def __post_init__(self):
-        if self.start not in ("rest", "frames", "auto"):
-            raise ValueError(f"start must be 'rest', 'frames' or 'auto', got {self.start!r}")
+        for name, choices in (("start", STARTS), ("rest", RESTS)):
+            if getattr(self, name) not in choices:
+                raise ValueError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")

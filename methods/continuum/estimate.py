@@ -25,6 +25,7 @@ ROUGH = 4.0  # times their noise, by which tracks are heard before it is known w
 LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
+UNLOADINGS = 2  # times that a rest shape is solved before a refinement: from the search's stiffness, then from a better one
 MOMENT = 0.1  # s: frames so near say the same
 
 
@@ -131,10 +132,12 @@ def estimate(
         **options,
     )
     spread = _spread(found, task, coarse, config.members, seed) if config.members else np.zeros(len(task.data))
-    if config.refinement:
+    heard = np.hypot(task.noise, spread) if config.members else rough
+    solved = UNLOADINGS if config.rest == "equilibrium" else 0
+    for _ in range(max(1, solved) if config.refinement else 0):
+        task = task.unloaded(recordings, found.values) if solved else task
         at = np.array([[found.values[u.name] for u in task.unknowns]])
         tell = told("refinement", 0.6, 0.4, config.refinement)
-        heard = np.hypot(task.noise, spread) if config.members else rough
         found = fit(
             task.unknowns, task.simulate, task.data, heard, starts=at, steps=Steps(iterations=config.refinement), progress=tell, **options
         )
@@ -162,6 +165,13 @@ class Task:
         """The same in cells ``times`` as large."""
         pairs = zip(self.simulators, recordings, strict=True)
         found = [replace(s, scene=replace(s.scene, body=s.scene.body.coarser(one, times))) for s, one in pairs]
+        return replace(self, simulators=tuple(found))
+
+    def unloaded(self, recordings, values) -> Task:
+        """The same with rest shapes such that each frame 0 is an equilibrium at ``values``."""
+        found = []
+        for r, (one, runner) in enumerate(zip(recordings, self.simulators, strict=True)):
+            found.append(replace(runner, scene=runner.unloaded(one, own_values(self.fixed | values, r))))
         return replace(self, simulators=tuple(found))
 
     @property

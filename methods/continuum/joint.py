@@ -16,8 +16,6 @@ from .windows import can_begin_anywhere, window
 
 __all__ = ["placed", "scenes_of"]
 
-START = 2  # frames that may tell how a recording starts
-
 
 def scenes_of(observed: Sequence[Observed], config: Config, *, seed: int = 0) -> tuple[list[Observed], list[Scene], Body]:
     """(what is fitted of each recording, its scene, and the body of the first recording in its frame 0).
@@ -39,9 +37,11 @@ def scenes_of(observed: Sequence[Observed], config: Config, *, seed: int = 0) ->
 def placed(recording: Observed, body: Body, config: Config, seen: Observed | None = None) -> Scene:
     """The scene of a recording from its frame 0 on, which starts as ``config`` says, by the first frames of what was ``seen`` of it."""
     seen = recording if seen is None else seen
-    moves = config.start == "frames" or (config.start == "auto" and not starts_at_rest(seen).rest)
-    known = window(seen, 0, min(START, seen.observed_frames))
-    return Scene.of(recording, body, speeds=body.speeds(known) if moves and known.observed_frames == START else None)
+    found = starts_at_rest(seen) if config.start == "auto" else None
+    if config.start == "rest" or (found and found.rest):
+        return Scene.of(recording, body)
+    why = f": {found.words}" if found else ""
+    return Scene.of(recording, body, speeds=body.speeds(seen), notes=(f"its start velocity is told by its first frames{why}",))
 
 
 def _under_way(cut: Observed, body: Body) -> Scene:

@@ -20,6 +20,7 @@ from .body import SolidBody
 from .chains import marked_chains
 from .config import Config
 from .natural import common_shapes, shape_unknowns, shape_values
+from .start import Speeds
 from .strands import Strands, divided, embedded
 from .unknowns import Unknown, rounded_up
 
@@ -204,7 +205,7 @@ class Rod(Body):
     def followed(self, path):
         return self.embedding.followed(path, turning=not self.is_marked)
 
-    def speeds(self, recording: Observed) -> np.ndarray:
+    def speeds(self, recording: Observed) -> Speeds:
         """Of markers one by one: the parabola through what is known of ``SEEN_START`` frames, of two a difference; others smoothly."""
         if not self.is_marked:
             return super().speeds(recording)
@@ -214,7 +215,7 @@ class Rod(Body):
         slopes = np.linalg.pinv((np.arange(len(early))[:, None] / recording.fps) ** np.arange(min(3, len(early))))
         found = np.zeros(self.structure.shape)
         found[: early.shape[1]] = np.nan_to_num(np.einsum("t,tnc->nc", slopes[1], early))
-        return found
+        return Speeds.of(self.structure, found)
 
     def moving(self, speeds):
         return self.embedding.nodes_of(speeds, self.marks)

@@ -12,6 +12,8 @@ from ...physics.points import Points
 from .bodies import Body
 from .hands import FINGER, SOFT, Hand, frames_of, hands_of, steadied
 from .held import falloff
+from .start import Speeds
+from .velocity import Launch, Lead
 
 __all__ = ["REACH", "Grasp", "Scene"]
 
@@ -32,11 +34,11 @@ class Grasp:
 class Scene:
     """Lengths in m, in the room of the recording.
 
-    body       in frame 0, where it is at rest
+    body       in frame 0
     hands      as they move in the recording, ``controllers`` (T, C, 3) and ``grips`` (C,) as in it; ``radius`` of a grip
     gravity    (3,) m/s^2; ground or None; fps
     counts     of tracked, surface and interior structure points
-    speeds     (M, 3) m/s of the structure points in frame 0, or None: at rest
+    speeds     of the body in frame 0, or None: at rest
     """
 
     name: str
@@ -49,21 +51,21 @@ class Scene:
     gravity: np.ndarray
     ground: Plane | None
     fps: float
-    speeds: np.ndarray | None = None
+    speeds: Speeds | None = None
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, recording: Observed, body: Body, *, speeds: np.ndarray | None = None) -> Scene:
-        """The scene of a recording and its body, which moves at ``speeds`` (M, 3) m/s in frame 0, or is at rest.
+    def of(cls, recording: Observed, body: Body, *, speeds: Speeds | None = None, notes: tuple[str, ...] = ()) -> Scene:
+        """The scene of a recording and its body, which moves at ``speeds`` in frame 0, or is at rest.
 
-        Raises ValueError where a hand holds nothing though it comes near the body.
+        notes  more than its body and hands say. Raises ValueError where a hand holds nothing though it comes near the body.
         """
         radius = max(SOFT * recording.spacing, FINGER)
         hands = hands_of(recording, radius=radius)
         known = dict(counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity)
         known |= dict(ground=_below(recording.ground, body), fps=recording.fps)
         known |= dict(speeds=speeds)
-        notes = (*body.notes, *(n for hand in hands for n in hand.notes))
+        notes = (*body.notes, *notes, *(n for hand in hands for n in hand.notes))
         return cls(recording.name, body, hands=hands, radius=radius, notes=notes, **known)
 
     @property
@@ -72,9 +74,21 @@ class Scene:
         return self.body.structure
 
     @cached_property
+    def launch(self) -> Launch | None:
+        """How the nodes start, or None: at rest."""
+        return None if self.speeds is None else self.body.launched(self.speeds, self.lead)
+
+    @property
     def velocities(self) -> np.ndarray | None:
-        """(N, 3) m/s of the nodes in frame 0, or None: at rest."""
-        return None if self.speeds is None else self.body.moving(self.speeds)
+        """(N, 3) m/s of the nodes in frame 0, as they are told, or None: at rest."""
+        return None if self.launch is None else self.launch.velocity
+
+    @property
+    def lead(self) -> Lead:
+        """How hands carry the points of the grasp and the nodes that are fastened, from frame 0 to frame 1."""
+        path = self.carried(self.hands)[:2]
+        usual = np.zeros((len(self.hands), 3)), np.ones(len(self.hands))
+        return Lead(self.points.home[self.grasp.points], self.firmness(*usual), self.fastened[0], (path[-1] - path[0]) * self.fps)
 
     @property
     def points(self) -> Points:
@@ -88,8 +102,19 @@ class Scene:
 
     @cached_property
     def soft(self) -> tuple[int, ...]:
-        """The hands that hold points of the body softly: those with something in them that is more than nodes that they are."""
-        return tuple(k for k, hand in enumerate(self.hands) if len(hand.points) and (self.driven[hand.controllers] < 0).any())
+        """The hands that hold points of the body softly: those with something in them that is more than nodes that they are or carry."""
+        free = [k for k, hand in enumerate(self.hands) if len(hand.points) and (self.driven[hand.controllers] < 0).any()]
+        return tuple(k for k in free if k not in self.fastened[1])
+
+    @cached_property
+    def fastened(self) -> tuple[np.ndarray, np.ndarray]:
+        """((f,) nodes that are no controllers but carried rigidly by driven markers, (f,) the hand of each)."""
+        owner = np.full(len(self.body.positions), -1)
+        for k, hand in enumerate(self.hands):
+            if (self.grips[hand.controllers] >= 0).all():
+                owner[self.body.fastened(self.controllers[0, hand.controllers])] = k
+        nodes = np.flatnonzero(owner >= 0)
+        return nodes, owner[nodes]
 
     @cached_property
     def grips_at(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
@@ -139,17 +164,19 @@ class Scene:
         return found
 
     def paths(self, controllers=None) -> np.ndarray:
-        """(T, D + n, 3) m, where ``controllers`` (the recording's own unless given) move D driven nodes and n points of the grasp."""
+        """(T, D + n + f, 3) m, where ``controllers`` (the recording's own unless given) move D driven nodes, and what ``carried`` says."""
         hands = self.hands if controllers is None else self.led(controllers)
         controllers = self.controllers if controllers is None else controllers
         return np.concatenate([controllers[:, self.driven >= 0], self.carried(hands)[-len(controllers) :]], 1)
 
     def carried(self, hands) -> np.ndarray:
-        """(T, n, 3) m, where ``hands`` carry the points of the grasp."""
-        home = self.points.home[self.grasp.points]
+        """(T, n + f, 3) m, where ``hands`` carry the points of the grasp and the nodes that are fastened."""
+        nodes, owner = self.fastened
+        home = np.concatenate([self.points.home[self.grasp.points], self.body.positions[nodes]])
+        held_by = np.concatenate([self.grasp.hand, owner])
         path = np.repeat(home[None], len(hands[0].centre) if hands else len(self.controllers), 0)
         for k, hand in enumerate(hands):
-            own = np.flatnonzero(self.grasp.hand == k)
+            own = np.flatnonzero(held_by == k)
             if len(own):
                 path[:, own] = _from(self.hands[k], hand).carried(home[own])[-len(path) :]
         return path

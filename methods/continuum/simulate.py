@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from ...datasets.scenario import Observed
 from ...physics.batch import Batch
 from ...physics.stability import stable_rounds, stable_substeps
 from ...physics.system import System
@@ -15,11 +16,15 @@ from ...physics.terms import CoulombGround, Gravity, SoftGrip
 from ...physics.terms.base import Term
 from .scene import Scene
 from .unknowns import rounded_up
+from .unloaded import SAID
 
 __all__ = ["GRIP", "Simulator"]
 
 GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius over the usual one
 FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
+LONGEST = 600  # frames
+STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
+LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
 LIMITING = ("axial", "hinge", "facet", "solid", "viscous", "membrane", "plate", "grip", "touch")  # stages that limit substeps
 
 
@@ -41,6 +46,7 @@ class Simulator:
         scene, grasp = self.scene, self.scene.grasp
         driven = scene.driven[scene.driven >= 0]
         holds, held = scene.points.holds.copy(), scene.points.held.copy()
+        soft, fastened = np.full(len(grasp.points), -1), scene.fastened[0]
         holds[grasp.points], held[grasp.points] = len(driven) + np.arange(len(grasp.points)), 1.0
         terms = [*scene.body.terms, Gravity(dict(zip(("gravity_x", "gravity_y", "gravity_z"), scene.gravity, strict=True)))]
         terms += [SoftGrip({"grip_rate": FIRM})]
@@ -52,7 +58,7 @@ class Simulator:
             positions=scene.body.positions,
             velocities=scene.velocities,
             controllers=scene.paths()[:1],
-            grips=np.concatenate([driven, np.full(len(grasp.points), -1)]),
+            grips=np.concatenate([driven, soft, fastened]),
             points=replace(scene.points, holds=holds, held=held),
             terms=[*terms, *self.extra],
             name=scene.name,
@@ -65,12 +71,85 @@ class Simulator:
         ``controllers`` (T, C, 3) [m] move otherwise than in the recording, if given.
         """
         values = [self._complete(v) for v in values]
-        substeps, rounds = np.array([self._steps(v) for v in values]).T
-        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)
-        inputs = replace(batch.inputs, **self._inputs(batch, values, frames, controllers))
+        bodies = [self.scene.body.under(v) for v in values]
+        if any(body is not self.scene.body for body in bodies):  # frame 0 is under another strain in each
+            pairs = zip(bodies, values, strict=True)
+            return np.concatenate([self._of(body, self._known_steps).run([one], frames, controllers) for body, one in pairs])
+        batch, inputs = self._batch(values, frames, controllers)
         with torch.no_grad():
+            if self.scene.launch is not None and self.scene.launch.field is not None:
+                inputs = replace(inputs, v=self._corrected(batch, inputs))
             out = torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]])
         return np.stack([self._observed(path) for path in batch.split(out)])
+
+    def settle(self, values) -> np.ndarray:
+        """(N, 3) m, where the nodes come to rest while hands stay as they are in frame 0.
+
+        By dynamic relaxation: whenever the kinetic energy has passed a peak, all is stopped (Day 1965; Cundall 1976). Raises ValueError
+        where the body falls apart, or still moves after ``LONGEST`` frames.
+        """
+        batch, inputs = self._batch([self._complete(values)], 1)
+        share, before = (inputs.mass / inputs.mass.sum())[:, None], 0.0
+        with torch.no_grad():
+            for _ in range(LONGEST):
+                _, x, v, carried = batch.march(0, 1, inputs, whole=True)
+                inputs = replace(inputs, x=x, v=v, **vars(carried))
+                energy = float((share * v * v).sum())
+                if energy < before:
+                    if before < STILL**2:
+                        return batch.split(x)[0].double().cpu().numpy()
+                    inputs, energy = replace(inputs, v=torch.zeros_like(v)), 0.0
+                before = energy
+        raise ValueError(f"a body must come to rest where it is held, but moved after {LONGEST} frames (scenario {self.scene.name})")
+
+    def unloaded(self, recording: Observed, values) -> Scene:
+        """The scene, which is ``recording``'s, with a rest shape such that frame 0 is an equilibrium at ``values``.
+
+        What has a start velocity is in no equilibrium, and keeps its shape. Raises ValueError as ``Body.unloaded`` does.
+        """
+        scene = self.scene
+        if scene.speeds is not None:
+            note = f"{SAID} that of frame 0 as it lies, since it moves there"
+            return replace(scene, notes=(*(n for n in scene.notes if n != note), note))
+        body = scene.body.unloaded(recording, self._complete(values), lambda body: self._of(body).settle(values))
+        return replace(scene, body=body, notes=(*body.notes, *(n for n in scene.notes if n not in scene.body.notes)))
+
+    def _of(self, body, known_steps=None) -> Simulator:
+        """The same of another body, whose substeps are ``known_steps``' if they are given."""
+        other = Simulator(replace(self.scene, body=body), self.extra, self.device)
+        if known_steps is not None:
+            vars(other)["_known_steps"] = known_steps
+        return other
+
+    def _batch(self, values, frames, controllers=None):
+        """(the batch of complete ``values``, its inputs)."""
+        substeps, rounds = np.array([self._steps(v) for v in values]).T
+        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)
+        return batch, replace(batch.inputs, **self._inputs(batch, values, frames, controllers))
+
+    def _corrected(self, batch, inputs):
+        """(nodes, 3) m/s at the start, with which tracks go as far as they were seen to go until frame 1.
+
+        Two frames tell the mean velocity between them. A body that has just been let go and starts with that is half a frame's fall too
+        fast, so that what a run of one frame misses is added.
+        """
+        launch, speed = self.scene.launch, torch.zeros_like(inputs.v)
+        goal = launch.field.seen(launch.velocity)
+        best = [(np.inf, np.zeros_like(launch.velocity), None)] * len(batch.systems)  # (missed, m/s of the nodes, of the tracks)
+        tried = [launch.velocity] * len(best)
+        for _ in range(LAUNCHES + 1):
+            for own, one in zip(batch.split(speed), tried, strict=True):
+                own[:] = torch.as_tensor(one)
+            gone = (batch.march(0, 1, replace(inputs, v=speed))[0][0] - inputs.x) * self.scene.fps
+            for k, far in enumerate(batch.split(gone)):
+                missed = goal - launch.field.seen(far.double().cpu().numpy())
+                if (size := np.abs(missed).mean()) < best[k][0]:  # a run that diverged has NaN, which is never less
+                    best[k] = size, tried[k], missed
+                _size, own, missed = best[k]
+                tried[k] = own if missed is None else own + launch.field.solve(missed, launch.steady)
+        for own, (_size, one, _missed) in zip(batch.split(speed), best, strict=True):
+            own[:] = torch.as_tensor(one)
+        return speed
 
     def _complete(self, values):
         """``values`` with everything that terms and grips ask for."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,12 +17,17 @@ from ..registration import align, rigid_transform
 from .bodies import Body
 from .body import SolidBody, body_of
 from .config import DENSITY, Config
+from .start import Speeds, seen_velocity
 from .unknowns import Unknown, rounded_up
+from .unloaded import SAID, unloaded
+from .velocity import Field, least_strained
 
-__all__ = ["Solid", "posed"]
+__all__ = ["Equilibrium", "Solid", "posed"]
 
 APART = 4.0  # times as stiff, from one start to the next
 ALIKE = 0.1  # of a body's size, RMS: frame 0 of another recording that is farther from the rest shape is taken for the rest shape itself
+FOUND = 60  # rounds in which a place in the rest shape is found: where the body has turned by 40 degrees each gains a third of a digit
+HALF = 0.5 + 1e-6  # of a cell, from a driven marker to a node that it carries
 
 
 def posed(grid: Grid, rotation, shift) -> Grid:
@@ -31,8 +36,19 @@ def posed(grid: Grid, rotation, shift) -> Grid:
 
 
 @dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """Frame 0 of a body that is under load there: ``nodes`` (N, 3) m of the grid of its rest shape, and its ``modulus`` [Pa]."""
+
+    nodes: np.ndarray
+    modulus: float
+
+
+@dataclass(frozen=True, eq=False)
 class Solid(Body):
-    """``grid`` of the body in frame 0, where it is at rest; ``surface`` (S, 3) points of its skin and their ``area`` [m^2].
+    """``grid`` of the body at rest, which is frame 0 unless there is an ``equilibrium``.
+
+    surface  (S, 3) points of its skin in frame 0, and their ``area`` [m^2]
+    weights  (k, 4) kg, and m where in frame 0, of point masses that are told to be on the body (a body weighs ``DENSITY``)
 
     Its values: youngs_modulus [Pa, at 100 kg/m^3], poisson, damping_time [s], drag_damping [1/s].
     """
@@ -46,6 +62,8 @@ class Solid(Body):
     structure: np.ndarray
     counts: tuple[int, int, int]
     notes: tuple[str, ...] = ()
+    weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    equilibrium: Equilibrium | None = None
 
     @classmethod
     def of(cls, recording: Observed, told: SolidBody, times: float = 1.0) -> Solid:
@@ -58,7 +76,9 @@ class Solid(Body):
         return cls(told.grid, told.surface, told.area, recording.structure, recording.counts, told.notes)
 
     def coarser(self, recording: Observed, times: float) -> Solid:
-        return replace(self, grid=body_of(recording, kind="solid", pitch=times * float(self.grid.size.mean())).grid)
+        """As it lies: a rest shape belongs to its grid."""
+        grid = body_of(recording, kind="solid", pitch=times * float(self.grid.size.mean())).grid
+        return replace(self, grid=grid, equilibrium=None)
 
     def laid(self, target: Observed) -> Solid:
         """Moved rigidly to where the target's points lie; where they are shaped otherwise the rest shape is taken from them instead."""
@@ -66,22 +86,81 @@ class Solid(Body):
         cloud = target.structure[: sum(target.counts[:2])]
         laid = align(self.structure, cloud, surface=outer)
         apart = np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2))
-        there = dict(structure=target.structure, counts=target.counts)
+        there = dict(structure=target.structure, counts=target.counts, weights=np.zeros((0, 4)))
         if apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0)):
             rotation, shift = rigid_transform(self.structure, laid)
             surface = self.surface @ rotation.T + shift
-            return replace(self, grid=posed(self.grid, rotation, shift), surface=surface, notes=(), **there)
+            loaded = self.equilibrium and replace(self.equilibrium, nodes=self.equilibrium.nodes @ rotation.T + shift)
+            return replace(self, grid=posed(self.grid, rotation, shift), surface=surface, notes=(), equilibrium=loaded, **there)
         body = body_of(target, kind="solid", pitch=float(self.grid.size.mean()))
         notes = ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
-        return replace(self, grid=body.grid, surface=body.surface, area=body.area, notes=notes, **there)
+        return replace(self, grid=body.grid, surface=body.surface, area=body.area, notes=notes, equilibrium=None, **there)
+
+    # ---------------------------------------------------------------- under load in frame 0
+
+    @property
+    def is_loaded(self) -> bool:
+        return self.equilibrium is not None
+
+    def under(self, values) -> Solid:
+        """One that is twice as soft is twice as far from its rest shape."""
+        modulus = values["youngs_modulus"]
+        if self.equilibrium is None or modulus == self.equilibrium.modulus:
+            return self
+        home = self.grid.positions
+        nodes = home + (self.equilibrium.nodes - home) * (self.equilibrium.modulus / modulus)
+        return replace(self, equilibrium=Equilibrium(nodes, modulus))
+
+    def unloaded(self, recording, values, settle) -> Solid:
+        """Solved from frame 0 on, whatever rest shape it has."""
+        modulus = values["youngs_modulus"]
+
+        def loaded(grid, nodes):
+            return replace(self, grid=grid, equilibrium=Equilibrium(nodes, modulus))
+
+        body = body_of(recording, kind="solid", pitch=float(self.grid.size.mean()))
+        try:
+            grid, nodes, note = unloaded(body, lambda grid, guess: settle(loaded(grid, guess)))
+        except ValueError as error:
+            raise ValueError(f"{error}, at {modulus:.3g} Pa (scenario {recording.name})") from None
+        return replace(loaded(grid, nodes), notes=(*(n for n in self.notes if not n.startswith(SAID)), note))
+
+    def at_rest(self, places) -> np.ndarray:
+        """(n, 3) m, where in the rest shape what is at ``places`` (n, 3) in frame 0 is."""
+        found = np.array(places, float)
+        for _ in range(FOUND if self.equilibrium else 0):
+            carriers, weights = self.grid.locate(found)
+            found += places - np.einsum("mk,mki->mi", weights, self.positions[carriers])
+        return found
+
+    # ---------------------------------------------------------------- simulated
 
     @property
     def positions(self) -> np.ndarray:
-        return self.grid.positions
+        return self.grid.positions if self.equilibrium is None else self.equilibrium.nodes
 
     @cached_property
     def points(self) -> Points:
-        return material_points(self.grid, DENSITY, self.surface, self.area)
+        made = material_points(self.grid, DENSITY, self.at_rest(self.surface), self.area)
+        made = made if not len(self.weights) else _with_weights(made, self.grid, self.weights[:, 0], self.at_rest(self.weights[:, 1:]))
+        return made if self.equilibrium is None else replace(made, home=made.positions(self.positions))
+
+    def fastened(self, places):
+        """Those within half a cell of a marker, in each of the grid's directions: one or more for each marker in the grid.
+
+        What is clamped at a face is so held at its nodes there and no deeper. A soft grip of the material behind it shortens a beam: by a
+        fifth where it reaches 2 cm into one of 10 cm.
+        """
+        nodes, at = ((x - self.grid.origin) @ self.grid.axes.T / self.grid.size for x in (self.grid.positions, self.at_rest(places)))
+        return np.flatnonzero(np.abs(nodes[:, None] - at).max(2).min(1, initial=np.inf) <= HALF)
+
+    def speeds(self, recording: Observed) -> Speeds:
+        return seen_velocity(recording)
+
+    def launched(self, speeds, lead):
+        """By the velocity field that strains it least."""
+        at_rest = replace(lead, held=self.at_rest(lead.held))
+        return least_strained(Field(self.grid, self.at_rest(speeds.places), speeds.weight, at_rest), speeds)
 
     @property
     def parts(self) -> dict:
@@ -103,11 +182,13 @@ class Solid(Body):
     @cached_property
     def embedding(self) -> tuple[np.ndarray, np.ndarray]:
         """(nodes (M, 8), weights (M, 8)) that carry the structure points."""
-        return self.grid.locate(self.structure)
+        return self.grid.locate(self.at_rest(self.structure))
 
     def followed(self, path):
         nodes, weights = self.embedding
         return np.einsum("mk,tmki->tmi", weights, path[:, nodes])
+
+    # ---------------------------------------------------------------- fitted
 
     @classmethod
     def unknowns(cls, bodies: Sequence[Body]) -> list[Unknown]:
@@ -129,15 +210,31 @@ class Solid(Body):
             rows.append([min(max(u.value * APART**power, u.low), u.high) if u.name == "youngs_modulus" else u.value for u in unknowns])
         return np.unique(np.array(rows), axis=0)
 
+    # ---------------------------------------------------------------- kept
+
     def arrays(self):
         arrays = {f"grid_{f.name}": getattr(self.grid, f.name) for f in fields(Grid)}
-        return arrays | dict(surface=self.surface, area=np.array(self.area), structure=self.structure, counts=np.array(self.counts))
+        if self.equilibrium:
+            arrays |= {f"equilibrium_{f.name}": np.array(getattr(self.equilibrium, f.name)) for f in fields(Equilibrium)}
+        arrays |= dict(surface=self.surface, area=np.array(self.area), structure=self.structure, counts=np.array(self.counts))
+        return arrays | dict(weights=self.weights)
 
     @classmethod
     def restored(cls, arrays, notes):
         grid = Grid(**{f.name: arrays[f"grid_{f.name}"] for f in fields(Grid)})
         counts = tuple(int(n) for n in arrays["counts"])
-        return cls(grid, arrays["surface"], float(arrays["area"]), arrays["structure"], counts, notes)
+        kept = cls(grid, arrays["surface"], float(arrays["area"]), arrays["structure"], counts, notes)
+        if "equilibrium_nodes" in arrays:
+            kept = replace(kept, equilibrium=Equilibrium(arrays["equilibrium_nodes"], float(arrays["equilibrium_modulus"])))
+        return replace(kept, weights=arrays.get("weights", kept.weights))
+
+
+def _with_weights(points: Points, grid: Grid, masses, places) -> Points:
+    """``points`` and point ``masses`` (k,) [kg] at ``places`` (k, 3) [m] of the rest shape."""
+    nodes, weights = grid.locate(places)
+    none = np.zeros(len(masses))
+    more = dict(nodes=nodes, weights=weights, home=places, masses=masses, areas=none, holds=none.astype(int) - 1, held=none)
+    return Points(**{name: np.concatenate([getattr(points, name), new]) for name, new in more.items()})
 
 
 def _nearest(points, cloud):

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed
 
-__all__ = ["Start", "start_velocity", "starts_at_rest"]
+__all__ = ["Speeds", "Start", "seen_velocity", "start_velocity", "starts_at_rest"]
 
 FIRST = 3  # frames that tell whether the first is a rest
 SLOW = 0.02  # m/s: slower is rest whatever the noise; it is 0.7 mm a frame at 30 frames a second
@@ -31,6 +31,25 @@ class Start:
     error: float
     later: float
     words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Speeds:
+    """What is known of how fast a body moves in frame 0.
+
+    places    (n, 3) m in frame 0, ``velocity`` (n, 3) m/s there, ``weight`` (n,) how far each is trusted
+    noise     m/s, of a coordinate of the velocity
+    """
+
+    places: np.ndarray
+    velocity: np.ndarray
+    weight: np.ndarray
+    noise: float = 0.0
+
+    @classmethod
+    def of(cls, places, velocity) -> Speeds:
+        """All of them trusted alike."""
+        return cls(places, velocity, np.ones(len(places)))
 
 
 def starts_at_rest(recording: Observed) -> Start:
@@ -66,13 +85,39 @@ def start_velocity(recording: Observed) -> np.ndarray:
     weight for tracks that do something else. Of few tracks a rigid field a + w x x (fewer than 12) or a translation (fewer than 4).
     Raises ValueError where fewer than two frames were observed, or no track in both.
     """
+    seen = _seen_twice(recording)
+    first, second = recording.points[0, seen], recording.points[1, seen]
+    return _field(first, (second - first) * recording.fps, recording.structure)
+
+
+def seen_velocity(recording: Observed) -> Speeds:
+    """What tracks that nobody drives do between the first two frames.
+
+    Weights are those of ``start_velocity``, 1 where a dozen tracks or fewer were seen. The noise is told by the jitter of all frames; where
+    there are fewer than five, by what the tracks are off that field, and so few tracks count as exact. Raises ValueError as it does.
+    """
+    seen = _seen_twice(recording)
+    free = seen & ~np.isin(np.arange(len(seen)), recording.grips)
+    seen = free if free.any() else seen
+    first, second = recording.points[0, seen], recording.points[1, seen]
+    velocity, count = (second - first) * recording.fps, int(seen.sum())
+    weight, off = np.ones(count), 0.0
+    if count > FEWEST:
+        field, weight = _fitted(first, velocity, ROUNDS)
+        off = np.sqrt(np.average(((velocity - field(first)) ** 2).mean(1), weights=weight) * count / (count - FEWEST / 3))
+    if recording.observed_frames > FIRST + 1:
+        off = np.sqrt(2) * recording.fps * _noise(recording.points[:, seen], recording.visible[:, seen])
+    return Speeds(first, velocity, weight, float(off))
+
+
+def _seen_twice(recording):
+    """(N,) bool, the tracks that were seen in frames 0 and 1."""
     if recording.observed_frames < 2:
         raise ValueError(f"a start velocity needs two observed frames, got {recording.observed_frames} (scenario {recording.name})")
     seen = recording.visible[:2].all(0)
     if not seen.any():
         raise ValueError(f"a start velocity needs a track that was seen in frames 0 and 1, got none (scenario {recording.name})")
-    first, second = recording.points[0, seen], recording.points[1, seen]
-    return _field(first, (second - first) * recording.fps, recording.structure)
+    return seen
 
 
 def _rms(vectors):
@@ -93,6 +138,12 @@ def _noise(points, visible):
 
 def _field(points, velocity, at, *, rounds=ROUNDS):
     """(K, 3) the smooth field of ``velocity`` (n, 3) at ``points`` (n, 3), where ``at`` (K, 3) is."""
+    field, _ = _fitted(points, velocity, rounds)
+    return field(at)
+
+
+def _fitted(points, velocity, rounds):
+    """(the smooth field of ``velocity`` (n, 3) at ``points`` (n, 3) as a function of places (K, 3), (n,) how far each is trusted)."""
     middle = points.mean(0)
     size = max(float(np.sqrt(np.mean(np.sum((points - middle) ** 2, axis=1)))), 1e-9)
     columns = _columns(len(points))
@@ -103,7 +154,7 @@ def _field(points, velocity, at, *, rounds=ROUNDS):
         solution = np.linalg.lstsq(basis * root[:, None], wanted * root, rcond=1e-6)[0]
         stray = np.linalg.norm((wanted - basis @ solution).reshape(-1, 3), axis=1)
         weight = 1 / (1 + (stray / max(WIDE * np.median(stray), 1e-9)) ** 2)
-    return (_basis((at - middle) / size, columns) @ solution).reshape(-1, 3)
+    return lambda at: (_basis((at - middle) / size, columns) @ solution).reshape(-1, 3), weight
 
 
 def _columns(count):

@@ -19,6 +19,7 @@ from .hands import Hand
 from .joint import placed
 from .scene import REACH, Scene
 from .simulate import Simulator
+from .start import Speeds
 
 __all__ = ["ContinuumTwin"]
 
@@ -35,7 +36,6 @@ class ContinuumTwin(Twin):
     extra: tuple[Term, ...] = ()
     posterior: dict = field(default_factory=dict)
     device: str = "cpu"
-    start: str = "rest"  # or as the first two "frames" of a recording say, where they are known
     looks_ahead = True  # how far a controller is trusted depends on all of its path
 
     @property
@@ -62,14 +62,16 @@ class ContinuumTwin(Twin):
     def retarget(self, target: Observed) -> ContinuumTwin:
         """The same body and material in ``target``'s frame 0, held by its hands there.
 
-        Of ``target`` only frame 0 and the controllers are looked at, and frame 1 where its start is told by it: what hands hold there is
-        told by distance.
+        Of ``target`` only frame 0 and the controllers are looked at: what hands hold there is told by distance. It starts at rest, unless
+        exactly two frames are given, as ``Scenario.start_frames`` may declare: then as fast as they say.
         """
-        scene, config = self.scene, Config(start=self.start)
-        first = target.until(1)
-        there = placed(first, scene.body.laid(first), config, target)
+        first, body = target.until(1), self.scene.body
+        there = placed(first, body.laid(first), Config(start="frames" if target.observed_frames == 2 else "rest"), target)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
-        return replace(self, scene=there, values=values | self._grips(there))
+        values |= self._grips(there)
+        if body.is_loaded and not there.body.is_loaded:
+            there = Simulator(there, self.extra, self.device).unloaded(first, values)
+        return replace(self, scene=there, values=values)
 
     def _grips(self, there: Scene) -> dict[str, float]:
         """How the hands of another recording hold: as much as they were found to hold here, and as far out."""
@@ -92,7 +94,7 @@ class ContinuumTwin(Twin):
         arrays = {f"body_{name}": value for name, value in scene.body.arrays().items()}
         arrays |= {name: getattr(scene, name) for name in ("controllers", "grips", "gravity")}
         if scene.speeds is not None:
-            arrays["speeds"] = scene.speeds
+            arrays |= {f"speeds_{f.name}": np.array(getattr(scene.speeds, f.name)) for f in fields(Speeds)}
         for k, hand in enumerate(scene.hands):
             arrays |= {f"hand{k}_{f.name}": getattr(hand, f.name) for f in fields(Hand) if f.name not in ("turns", "notes")}
         state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "notes")}
@@ -100,7 +102,7 @@ class ContinuumTwin(Twin):
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
         state |= dict(values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior)
-        state |= dict(device=self.device, start=self.start)
+        state |= dict(device=self.device)
         saving.write(folder, arrays, state)
 
     @classmethod
@@ -113,11 +115,13 @@ class ContinuumTwin(Twin):
             own = {f.name: arrays[f"hand{k}_{f.name}"] for f in fields(Hand) if f.name not in ("turns", "notes")}
             hands.append(Hand(**own, turns=turns, notes=tuple(notes)))
         ground = None if state["ground"] is None else Plane(np.array(state["ground"][:3]), state["ground"][3])
-        known = {name: arrays[name] for name in ("controllers", "grips", "gravity")} | {"speeds": arrays.get("speeds")}
+        known = {name: arrays[name] for name in ("controllers", "grips", "gravity")}
+        speeds = {f.name: arrays[f"speeds_{f.name}"] for f in fields(Speeds) if f"speeds_{f.name}" in arrays}
+        known |= dict(speeds=Speeds(**speeds) if speeds else None)
         known |= {name: state[name] for name in ("name", "radius", "fps")}
         scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
-        return cls(scene, state["values"], extra, state["posterior"], state["device"], state["start"])
+        return cls(scene, state["values"], extra, state["posterior"], state["device"])
 
 
 def posterior_of(estimate) -> dict:

@@ -216,12 +216,12 @@ def test_a_twin_of_a_rope_is_kept_and_moved(fitted, tmp_path):
 
 
 def test_a_start_is_told_by_the_first_two_frames(fitted):
-    # the difference of two frames over their time; a twin that starts at rest is told one frame
+    # the difference of two frames over their time; told one frame, or a whole recording, it starts at rest
     recordings, twin = fitted
     late = window(recordings[1], 20, 40)
-    fast = replace(twin, start="frames").retarget(window(late, 0, 2))
+    fast = twin.retarget(window(late, 0, 2))
     np.testing.assert_allclose(fast.scene.velocities[:9], (late.points[1] - late.points[0]) * late.fps, atol=1e-6)
-    assert twin.start == "rest" and twin.retarget(late).scene.velocities is None
+    assert twin.retarget(late).scene.velocities is None
     ahead = [np.abs(one.rollout(late.controllers).positions[:8, :9] - late.points[:8]).mean() for one in (fast, twin.retarget(late))]
     assert ahead[0] < 0.7 * ahead[1]
 
