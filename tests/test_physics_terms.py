@@ -198,7 +198,7 @@ def test_columns_are_ordered_by_stage_and_padded():
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
     assert Laws((SelfCollision, Springs)).columns == [*first, *contact, "_move", "_links", "_setup"]
     assert Laws((Wind, Hardening, Gravity)).columns[:18] == ["cubic", "square", *first[1:12], "wind_x", "wind_y", *gravity]
-    assert Laws((Count, Wind, Stir)).columns[:14] == ["_axial", "count", "stir", "stir_link", *first[2:10], "wind_x", "wind_y"]
+    assert Laws((Count, Wind, Stir)).columns[:16] == ["_axial", "count", "stir", "stir_link", *first[2:12], "wind_x", "wind_y"]
 
 
 NEW = [(Wind, Hardening, Gravity, Brake), (Count, Springs, Stir), (Dashpot, Springs, Hardening)]
