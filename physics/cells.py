@@ -29,7 +29,7 @@ ALTERING = ("growth", "flow", "material", "branch")  # stages of what a solid do
 
 
 def cell_functions(kit):
-    """(pulled, bent, unbent, moments, corners, places, speeds): what both ways share."""
+    """(pulled, bent, unbent, moments, put, places, speeds): what both ways share."""
     R, vec, mat, World, get_x = kit.R, kit.vec, kit.mat, kit.World, kit.get_x
 
     @wp.func
@@ -105,8 +105,8 @@ def cell_functions(kit):
         return mat(s1[0], s2[0], s3[0], s1[1], s2[1], s3[1], s1[2], s2[2], s3[2]), g1, g2, g3, g4
 
     @wp.func
-    def corners(first: mat, g1: vec, g2: vec, g3: vec, g4: vec, per: vec):
-        """What each corner gets of adjoints of F_0 and g: the transpose of ``moments``."""
+    def put(out: wp.array2d(dtype=vec), c: int, begin: int, first: mat, g1: vec, g2: vec, g3: vec, g4: vec, per: vec):
+        """Leave what each corner of cell ``c`` gets of adjoints of F_0 and g from ``begin`` on: the transpose of ``moments``."""
         e = R(0.125)
         s1 = first * vec(e * per[0], R(0.0), R(0.0))
         s2 = first * vec(R(0.0), e * per[1], R(0.0))
@@ -123,7 +123,14 @@ def cell_functions(kit):
         odd1 = s1 + k2 - k3 - k4
         odd2 = s1 - k2 + k3 - k4
         odd3 = s1 + k2 + k3 + k4
-        return even0 - odd0, even1 - odd1, even2 - odd2, even3 - odd3, even0 + odd0, even1 + odd1, even2 + odd2, even3 + odd3
+        out[c, begin] = even0 - odd0
+        out[c, begin + 1] = even1 - odd1
+        out[c, begin + 2] = even2 - odd2
+        out[c, begin + 3] = even3 - odd3
+        out[c, begin + 4] = even0 + odd0
+        out[c, begin + 5] = even1 + odd1
+        out[c, begin + 6] = even2 + odd2
+        out[c, begin + 7] = even3 + odd3
 
     @wp.func
     def places(w: World, slot: int, c: int, per: vec):
@@ -158,7 +165,7 @@ def cell_functions(kit):
         )
         return m, m1, m2, m3, m4
 
-    return pulled, bent, unbent, moments, corners, places, speeds
+    return pulled, bent, unbent, moments, put, places, speeds
 
 
 def starts(kit):
@@ -221,7 +228,7 @@ def make_cells(kit):
     load_growth, load_flow, load_material, load_branch = (kit.load[s] for s in ALTERING)
     branching, remembering = kit.branching, kit.cells_remembering
     altering = kit.growing or kit.adding or remembering
-    pulled, bent, unbent, _moments, corners, places, speeds = cell_functions(kit)
+    pulled, bent, unbent, _moments, put, places, speeds = cell_functions(kit)
     contraction, started = starts(kit)
     mixed, green = rates(kit)
     matter = make_point(kit)
@@ -234,15 +241,7 @@ def make_cells(kit):
         g3 = back * t3
         g4 = back * t4
         whole = first - wp.outer(g1, q1) - wp.outer(g2, q2) - wp.outer(g3, q3) - wp.outer(g4, q4)
-        c0, c1, c2, c3, c4, c5, c6, c7 = corners(-whole, -g1, -g2, -g3, -g4, per)
-        w.squeeze[c, 0] = c0
-        w.squeeze[c, 1] = c1
-        w.squeeze[c, 2] = c2
-        w.squeeze[c, 3] = c3
-        w.squeeze[c, 4] = c4
-        w.squeeze[c, 5] = c5
-        w.squeeze[c, 6] = c6
-        w.squeeze[c, 7] = c7
+        put(w.squeeze, c, 0, -whole, -g1, -g2, -g3, -g4, per)
 
     @wp.func
     def strain(w: World, slot: int, after: int, b: int, c: int, dt: R, p: ps):

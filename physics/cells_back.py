@@ -21,7 +21,7 @@ def make_back_cells(kit):
     contraction, started = starts(kit)
     mixed, green = rates(kit)
     matter = make_point(kit)
-    pulled, bent, _unbent, moments, corners, places, speeds = cell_functions(kit)
+    pulled, bent, _unbent, moments, put, places, speeds = cell_functions(kit)
 
     @wp.func
     def matter_dot(
@@ -97,19 +97,6 @@ def make_back_cells(kit):
         rate = moved * whole + first * bent(n1, n2, n3, n4, point, per, lateral)
         d = tried * whole + first * bent(e1, e2, e3, e4, point, per, lateral)
         return wp.ddot(first * whole, on_f) + wp.ddot(rate, on_rate) + wp.ddot(d, on_d)
-
-    @wp.func
-    def left(a: Adjoint, c: int, first: int, on: mat, g1: vec, g2: vec, g3: vec, g4: vec, per: vec):
-        """Leave at the corners of cell ``c`` what adjoints of F_0 and g are there, of positions (``first`` 0) or velocities (8)."""
-        c0, c1, c2, c3, c4, c5, c6, c7 = corners(on, g1, g2, g3, g4, per)
-        a.cells[c, first] = c0
-        a.cells[c, first + 1] = c1
-        a.cells[c, first + 2] = c2
-        a.cells[c, first + 3] = c3
-        a.cells[c, first + 4] = c4
-        a.cells[c, first + 5] = c5
-        a.cells[c, first + 6] = c6
-        a.cells[c, first + 7] = c7
 
     @wp.func
     def back_strain(w: World, a: Adjoint, slot: int, b: int, c: int, dt: R, p: ps):
@@ -203,9 +190,9 @@ def make_back_cells(kit):
             b4 += h4
             on_lateral += hl
             gp += hp
-        left(a, c, 0, on_first * weight, b1 * weight, b2 * weight, b3 * weight, b4 * weight, per)
+        put(a.cells, c, 0, on_first * weight, b1 * weight, b2 * weight, b3 * weight, b4 * weight, per)
         if wp.static(branching):
-            left(a, c, 8, on_moved * weight, v1 * weight, v2 * weight, v3 * weight, v4 * weight, per)
+            put(a.cells, c, 8, on_moved * weight, v1 * weight, v2 * weight, v3 * weight, v4 * weight, per)
         if a.wants_table > 0:
             give_solid(a.solid, c, (gp + narrowing * on_lateral) * weight)
             give_material(a.material, c, gp_material * weight)
@@ -281,8 +268,8 @@ def make_back_cells(kit):
         b2 += f2
         b3 += f3
         b4 += f4
-        left(a, c, 0, on_first * weight, b1 * weight, b2 * weight, b3 * weight, b4 * weight, per)
-        left(a, c, 8, on_moved * weight, v1 * weight, v2 * weight, v3 * weight, v4 * weight, per)
+        put(a.cells, c, 0, on_first * weight, b1 * weight, b2 * weight, b3 * weight, b4 * weight, per)
+        put(a.cells, c, 8, on_moved * weight, v1 * weight, v2 * weight, v3 * weight, v4 * weight, per)
         if a.wants_table > 0:
             give_solid(a.solid, c, narrowing * (on_lateral * weight))
             give_viscous(a.viscous, c, gp * weight)

@@ -14,8 +14,8 @@ FLAT = 1.0e-12  # m^2: less than a face
 
 
 def shell_functions(kit):
-    """(creased, tangents, spread, strained, changed): what both ways share."""
-    R, vec, World = kit.R, kit.vec, kit.World
+    """(creased, measure, tangents, spread, strained, changed): what both ways share."""
+    R, vec, World, get_x, get_v = kit.R, kit.vec, kit.World, kit.get_x, kit.get_v
 
     @wp.func
     def creased(a: vec, b: vec, c: vec, d: vec):
@@ -31,6 +31,20 @@ def shell_functions(kit):
         t = wp.dot(d - a, edge) / squared
         angle = wp.atan2(wp.dot(wp.cross(two, one), edge) / length, wp.dot(one, two))
         return angle, left * (s - R(1.0)) + right * (t - R(1.0)), left * -s - right * t, left, right
+
+    @wp.func
+    def measure(w: World, slot: int, h: int):
+        """Leave the angle of fold ``h`` and its rate; the angle's gradients."""
+        i = slot * w.nodes + w.fold[h, 0]
+        j = slot * w.nodes + w.fold[h, 1]
+        k = slot * w.nodes + w.fold[h, 2]
+        o = slot * w.nodes + w.fold[h, 3]
+        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, o))
+        w.angle[h, 0] = angle - w.rest_angle[h]
+        w.angle[h, 1] = (
+            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, o))
+        )
+        return ga, gb, gc, gd
 
     @wp.func
     def tangents(w: World, f: int, a: vec, b: vec, c: vec):
@@ -54,7 +68,7 @@ def shell_functions(kit):
         """Its change as the tangents change by ``u`` and ``v``."""
         return vec(wp.dot(s, u), wp.dot(t, v), (wp.dot(s, v) + wp.dot(t, u)) * R(0.5))
 
-    return creased, tangents, spread, strained, changed
+    return creased, measure, tangents, spread, strained, changed
 
 
 def make_shells(kit):
@@ -62,19 +76,11 @@ def make_shells(kit):
     vec, World, get_x, get_v = kit.vec, kit.World, kit.get_x, kit.get_v
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     load_membrane, load_plate = kit.load["membrane"], kit.load["plate"]
-    creased, tangents, spread, strained, changed = shell_functions(kit)
+    _creased, measure, tangents, spread, strained, changed = shell_functions(kit)
 
     @wp.func
     def crease(w: World, slot: int, h: int):
-        i = slot * w.nodes + w.fold[h, 0]
-        j = slot * w.nodes + w.fold[h, 1]
-        k = slot * w.nodes + w.fold[h, 2]
-        o = slot * w.nodes + w.fold[h, 3]
-        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, o))
-        w.angle[h, 0] = angle - w.rest_angle[h]
-        w.angle[h, 1] = (
-            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, o))
-        )
+        ga, gb, gc, gd = measure(w, slot, h)
         w.slope[h, 0] = ga
         w.slope[h, 1] = gb
         w.slope[h, 2] = gc
@@ -134,7 +140,7 @@ def make_back_shells(kit):
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     load_membrane, load_plate = kit.load["membrane"], kit.load["plate"]
     give_membrane, give_plate = kit.give_all["membrane"], kit.give_all["plate"]
-    creased, tangents, spread, strained, changed = shell_functions(kit)
+    creased, measure, tangents, spread, strained, changed = shell_functions(kit)
 
     @wp.func
     def stretch_dot(s: vec, t: vec, u: vec, v: vec, p: pm, ds: vec, dt: vec):
@@ -211,15 +217,7 @@ def make_back_shells(kit):
     @wp.func
     def back_crease(w: World, a: Adjoint, slot: int, h: int):
         """Leave the angle of fold ``h``, its rate, and its change as nodes move by the adjoints of their forces."""
-        i = slot * w.nodes + w.fold[h, 0]
-        j = slot * w.nodes + w.fold[h, 1]
-        k = slot * w.nodes + w.fold[h, 2]
-        o = slot * w.nodes + w.fold[h, 3]
-        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, o))
-        w.angle[h, 0] = angle - w.rest_angle[h]
-        w.angle[h, 1] = (
-            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, o))
-        )
+        ga, gb, gc, gd = measure(w, slot, h)
         change = wp.dot(ga, a.force[slot % 2, w.fold[h, 0]]) + wp.dot(gb, a.force[slot % 2, w.fold[h, 1]])
         a.angle[h] = change + wp.dot(gc, a.force[slot % 2, w.fold[h, 2]]) + wp.dot(gd, a.force[slot % 2, w.fold[h, 3]])
 
