@@ -1,8 +1,8 @@
 """What an oracle gains that is told an effect: ``python -m twinbench.benchmark.solid_oracle SET --out FILE``.
 
 A SET is a folder of concealed stuffed bodies with an effect and their truths. A sound twin is fitted to the first recording; then one whose
-physics has the term of the effect, at its true place and with its true direction, with the amounts fitted. The share of the error that it
-closes on the other recording says what naming the effect could gain at most with these twins.
+physics has the term of the effect, at its true place and with its true direction, with the amounts fitted, from the sound twin's values on.
+The share of the error that it closes on the other recording says what naming the effect could gain at most with these twins.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,7 +73,8 @@ def case_row(folder: str, case: str, seed: int = 0) -> dict:
     extra, amounts, fixed = told(label, sound.scene.body.grid.axes)
     knowing = method.fitted(
         [home.observed()],
-        replace(config, starts=2),
+        config,
+        begin=sound.values | {f"rec0_{name}": value for name, value in sound.values.items()},
         seed=seed,
         extra=extra,
         extra_unknowns=amounts,
@@ -107,19 +109,25 @@ def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_oracle", description=__doc__.split("\n")[0])
     parser.add_argument("set", help="folder of cases with labels.json and truth/")
     parser.add_argument("--cases", nargs="+", help="some of them")
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", help="CSV of all rows")
     given = parser.parse_args(arguments)
     labels = json.loads((Path(given.set) / "labels.json").read_text(encoding="utf-8"))
     rows = []
-    for case in given.cases or sorted(labels):
-        try:
-            rows.append(case_row(given.set, case))
-        except KeyError as error:
-            print(f"{case}: no term of a solid says {error}", flush=True)
-            continue
-        print(json.dumps(rows[-1]), flush=True)
-        if given.out:
-            pd.DataFrame(rows).to_csv(given.out, index=False)
+    with ProcessPoolExecutor(given.jobs) as pool:
+        waiting = {pool.submit(case_row, given.set, case): case for case in given.cases or sorted(labels)}
+        for future in as_completed(waiting):
+            try:
+                rows.append(future.result())
+            except KeyError as error:
+                print(f"{waiting[future]}: no term of a solid says {error}", flush=True)
+                continue
+            except Exception as error:  # one case must not end the others
+                print(f"{waiting[future]}: {type(error).__name__}: {error}", flush=True)
+                continue
+            print(json.dumps(rows[-1]), flush=True)
+            if given.out:
+                pd.DataFrame(rows).to_csv(given.out, index=False)
     table = pd.DataFrame(rows)
     if len(table):
         names = ["case", "effect", "moved", "held_out_sound", "held_out_told", "transfer_sound", "transfer_told", "closed_transfer"]

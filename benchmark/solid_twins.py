@@ -29,8 +29,11 @@ def errors(trajectory, truth, seen) -> np.ndarray:
     return np.where(seen, 1e3 * np.linalg.norm(trajectory.tracked - truth, axis=-1), np.nan)
 
 
-def case_rows(folder: str, case: str, method: str, preset: str, seed: int) -> list[dict]:
-    """What one case says: a row for each part of each recording, and for all of its fitted, held-out and transfer frames."""
+def case_rows(folder: str, case: str, method: str, preset: str, seed: int, keep: str | None = None) -> list[dict]:
+    """What one case says: a row for each part of each recording, and for all of its fitted, held-out and transfer frames.
+
+    keep  folder of twins: one that is there from another run is not fitted again
+    """
     root = Path(folder)
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     truth = np.load(root / "truth" / f"{case}.npz")
@@ -55,7 +58,13 @@ def case_rows(folder: str, case: str, method: str, preset: str, seed: int) -> li
             ]
         return found
 
-    twin = methods()[method]().fit([home.observed()], budget=Budget(preset), seed=seed)
+    made, kept = methods()[method](), keep and Path(keep) / root.name / case / method
+    if kept and kept.exists():
+        twin = made.twin_class.load(kept)
+    else:
+        twin = made.fit([home.observed()], budget=Budget(preset), seed=seed)
+        if kept:
+            twin.save(kept)
     spent = dict(fit_seconds=time.time() - begun[0], fit_cpu=time.process_time() - begun[1])
     end = home.split.train_end
     rows += score(twin, home, truth["fit_points"], [("fitted", 0, end), ("held-out", end, len(home.points))])
@@ -90,16 +99,19 @@ def summary(rows) -> str:
 def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_twins", description=__doc__.split("\n")[0])
     parser.add_argument("sets", nargs="+", help="folders of cases with labels.json and truth/")
+    parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--methods", nargs="+", default=["continuum"])
     parser.add_argument("--preset", default="quick", choices=["quick", "full"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", help="CSV of all rows")
+    parser.add_argument("--keep", help="folder in which twins are kept, and looked for")
     given = parser.parse_args(arguments)
-    jobs = [(s, case, m) for s in given.sets for case in sorted(json.loads((Path(s) / "labels.json").read_text())) for m in given.methods]
+    known = {s: sorted(json.loads((Path(s) / "labels.json").read_text(encoding="utf-8"))) for s in given.sets}
+    jobs = [(s, case, m) for s in given.sets for case in given.cases or known[s] for m in given.methods]
     rows = []
     with ProcessPoolExecutor(given.jobs) as pool:
-        waiting = {pool.submit(case_rows, s, case, m, given.preset, given.seed): (s, case, m) for s, case, m in jobs}
+        waiting = {pool.submit(case_rows, s, case, m, given.preset, given.seed, given.keep): (s, case, m) for s, case, m in jobs}
         for future, job in waiting.items():
             try:
                 rows += future.result()

@@ -95,6 +95,7 @@ def estimate(
     extra: Sequence[Term] = (),
     extra_unknowns: Sequence[Unknown] = (),
     fixed: dict[str, float] | None = None,
+    begin: dict[str, float] | None = None,
     seed: int = 0,
     device: str = "cpu",
     progress: Callable[[str, float], None] | None = None,
@@ -103,6 +104,7 @@ def estimate(
 
     extra    further terms, with ``extra_unknowns`` among their parameters
     fixed    values that are told and not fitted
+    begin    where the search begins, as another twin of these scenes has it; unless given, from the starts of the kind of body
 
     A first search hears all tracks alike. Then members of an ensemble of sound twins, which differ in grip, material and mesh, say where
     in the motion sound twins part, and a second search from there hears the rest. Raises AllDiverged where every start blows up.
@@ -120,13 +122,17 @@ def estimate(
 
     options = dict(independent=task.independent, seed=seed)
     rough = np.hypot(task.noise, ROUGH * min(s.noise for s in task.sights))
+    if begin:
+        starts = np.array([[begin.get(u.name, u.value) for u in task.unknowns]])
+    else:
+        starts = _scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts)
     search = Steps(iterations=config.iterations)
     found = fit(
         task.unknowns,
         coarse.simulate,
         task.data,
         rough,
-        starts=_scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts),
+        starts=starts,
         steps=search,
         progress=told("search", 0.0, 0.5, config.iterations),
         **options,
