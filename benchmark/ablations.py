@@ -123,6 +123,11 @@ ABLATIONS = {
         ("continuum", *(Variant(f"continuum (cells x {times})", "continuum", {"pitch": times}) for times in (0.7, 1.5))),
         metrics=DISTANCES,
     ),
+    "classes": Ablation(
+        "continuum, and the same fit of a net of springs on the nodes of its cells: what the class of a twin is worth",
+        ("continuum", Variant("continuum (springs)", "continuum", {"elements": "springs"})),
+        metrics=DISTANCES,
+    ),
     "grips": Ablation(
         "continuum with what hands hold fitted, and as they are said to hold it",
         ("continuum", Variant("continuum (grips as told)", "continuum", {"grips": False})),

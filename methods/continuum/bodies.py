@@ -10,6 +10,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed
 from ...physics.points import Points
+from ...physics.system import System
 from ...physics.terms.base import Term
 from .body import SolidBody, body_of
 from .config import Config
@@ -23,13 +24,14 @@ __all__ = ["Body", "bodies_of", "class_of"]
 class Body(ABC):
     """A body in frame 0 of a recording, cut into nodes. Lengths in m, in the room; all numbers of its material are values of a fit.
 
-    kind       as ``kinds`` tells it
+    kind       as ``kinds`` tells it, and what it is made of if not of the ``elements`` that its kind has of its own
     structure  (M, 3) the recording's points in frame 0, which ``followed`` finds again
     surface    (S, 3) its skin: the ground is no higher than the lowest of it
     notes      what was completed or assumed, a sentence each
     """
 
     kind: ClassVar[str]
+    elements: ClassVar[str] = "own"
     dimensions: int = 3  # of what a hand takes hold of: a ball of it, a disk or a length
     standoff: float = 0.0  # m, from its surface points to where it touches the ground
     recordings: int = 3  # that are fitted jointly, at most, unless a config says
@@ -106,6 +108,10 @@ class Body(ABC):
     def stiffest(self, values: dict[str, float]) -> dict[str, float]:
         """Complete ``values`` rounded up, such that a search keeps its substeps: what stability is asked of."""
 
+    def stiffened(self, system: System, values: dict[str, float]) -> System:
+        """``system`` of complete ``values`` as stability is to see it: where a term scales springs, with scaled ones."""
+        return system
+
     @abstractmethod
     def followed(self, path: np.ndarray) -> np.ndarray:
         """(T, M, 3) m, the structure points while the nodes go along ``path`` (T, N, 3)."""
@@ -167,24 +173,30 @@ class Body(ABC):
         """What ``arrays`` was of."""
 
 
-def class_of(kind: str) -> type[Body]:
-    """The class of a kind of body; raises ValueError for a kind that no twin is made of."""
+def class_of(kind: str, elements: str = "own") -> type[Body]:
+    """The class of a kind of body; raises ValueError for a kind that no twin is made of, or not of these ``elements``."""
+    from .nets import Net
     from .rods import Rod
     from .sheets import Cloth
     from .solids import Solid
 
-    known = {made.kind: made for made in (Solid, Rod, Cloth)}
-    if kind not in known:
-        raise ValueError(f"a {kind}: bodies are made of {', '.join(sorted(known))}")
-    return known[kind]
+    known = {(made.kind, made.elements): made for made in (Solid, Rod, Cloth, Net)}
+    if (kind, elements) not in known:
+        able = sorted(k for k, made_of in known if made_of == elements)
+        raise ValueError(
+            f"a {kind}: bodies of their {elements} elements are made of {', '.join(able)}"
+            if elements == "own"
+            else f"elements {elements!r} make a {' or a '.join(able)}, got a {kind}"
+        )
+    return known[kind, elements]
 
 
-def bodies_of(recordings: Sequence[Observed], *, kind: str | None = None, times: float = 1.0) -> Sequence[Body]:
-    """The bodies of recordings of one object: of the kind that the first one shows unless it is said.
+def bodies_of(recordings: Sequence[Observed], *, kind: str | None = None, times: float = 1.0, elements: str = "own") -> Sequence[Body]:
+    """The bodies of recordings of one object: of the kind that the first one shows unless it is said, of ``elements`` as ``Body`` has them.
 
     times  how many times as coarse as usual. Raises ValueError where no body can be made.
     """
     told = [body_of(recordings[0], kind=kind)]
     told += [body_of(one, kind=told[0].kind) for one in recordings[1:]]
-    made = class_of(told[0].kind)
+    made = class_of(told[0].kind, elements)
     return made.joined([made.of(one, body, times) for one, body in zip(recordings, told, strict=True)], recordings)

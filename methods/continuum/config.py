@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DENSITY", "RESTS", "STARTS", "Config"]
+__all__ = ["DENSITY", "ELEMENTS", "RESTS", "STARTS", "Config"]
 
 DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it show in a motion
 RESTS = ("as it lies", "equilibrium")
 STARTS = ("auto", "rest", "frames")
+ELEMENTS = ("own", "springs")
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class Config:
     start       how a recording starts: at "rest", as its first "frames" say, or "auto": so where frame 0 is no rest (``start``)
     rest        shape: frame 0 "as it lies", or solved such that frame 0 is an "equilibrium" under gravity, ground and grips
     frames      observed frames of each that are fitted, or None: all
+    elements    of a solid: cells of its "own", or "springs" on their nodes, as twins have them that are nets of particles
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
     grips       whether what hands hold is fitted
     """
@@ -38,10 +40,11 @@ class Config:
     start: str = "auto"
     rest: str = "as it lies"
     frames: int | None = None
+    elements: str = "own"
     members: int = 8
     grips: bool = True
 
     def __post_init__(self):
-        for name, choices in (("start", STARTS), ("rest", RESTS)):
+        for name, choices in (("start", STARTS), ("rest", RESTS), ("elements", ELEMENTS)):
             if getattr(self, name) not in choices:
                 raise ValueError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")

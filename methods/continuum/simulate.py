@@ -25,7 +25,7 @@ FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand th
 LONGEST = 600  # frames
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
 LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
-LIMITING = ("axial", "hinge", "facet", "solid", "viscous", "membrane", "plate", "grip", "touch")  # stages that limit substeps
+LIMITING = ("setup", "axial", "hinge", "facet", "solid", "viscous", "membrane", "plate", "grip", "touch")  # stages that limit substeps
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ class Simulator:
         shown = [t for t in self.system.terms if t.stage in LIMITING]
         key = tuple(most[p.name] for t in shown for p in t.parameters if not p.name.endswith("friction"))
         if key not in self._known_steps:
-            stiffest = self.system.with_values(**most)
+            stiffest = self.scene.body.stiffened(self.system.with_values(**most), most)
             substeps = stable_substeps([stiffest], 1 / self.scene.fps)
             while True:
                 try:

@@ -98,7 +98,7 @@ class ContinuumTwin(Twin):
         for k, hand in enumerate(scene.hands):
             arrays |= {f"hand{k}_{f.name}": getattr(hand, f.name) for f in fields(Hand) if f.name not in ("turns", "notes")}
         state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "notes")}
-        state |= dict(kind=scene.body.kind, body_notes=scene.body.notes)
+        state |= dict(kind=scene.body.kind, elements=scene.body.elements, body_notes=scene.body.notes)
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
         state |= dict(values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior)
@@ -109,7 +109,7 @@ class ContinuumTwin(Twin):
     def load(cls, folder: Path) -> ContinuumTwin:
         arrays, state = saving.read(folder)
         parts = {name.removeprefix("body_"): value for name, value in arrays.items() if name.startswith("body_")}
-        body = class_of(state["kind"]).restored(parts, tuple(state["body_notes"]))
+        body = class_of(state["kind"], state["elements"]).restored(parts, tuple(state["body_notes"]))
         hands = []
         for k, (turns, notes) in enumerate(zip(state["turns"], state["hand_notes"], strict=True)):
             own = {f.name: arrays[f"hand{k}_{f.name}"] for f in fields(Hand) if f.name not in ("turns", "notes")}

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from blocks import FRAMES, lifted
 from scipy.spatial.transform import Rotation
-from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
 from twinbench.methods.continuum.estimate import Sight, estimate, jitter, own_values
@@ -14,36 +14,7 @@ from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.solids import Solid
 from twinbench.methods.continuum.twin import ContinuumTwin
 
-SIZE, FRAMES, TRUE = np.array([0.12, 0.04, 0.03]), 14, dict(youngs_modulus=8e3, damping_time=0.01)
-
-
-def lifted(points=None) -> Observed:
-    """A foam block that a hand lifts at one end, 8 cm in half a second; all of it goes along unless tracks are given (F, N, 3)."""
-    lattice = np.stack(np.meshgrid(*[np.linspace(0, s, round(s / 0.01) + 1) for s in SIZE], indexing="ij"), -1).reshape(-1, 3)
-    skin = (np.isclose(lattice, 0) | np.isclose(lattice, SIZE)).any(1)
-    block = np.concatenate([lattice[skin], lattice[~skin]])
-    count = int(skin.sum())
-    hand = Rotation.random(12, random_state=0).apply([0.012, 0, 0]) + [0.01, 0.02, 0.03]
-    t = np.arange(FRAMES) / 30
-    rise = 0.04 * (1 - np.cos(np.pi * np.minimum(t / 0.4, 1)))
-    turns = Rotation.from_rotvec(np.outer(0.4 * np.minimum(t / 0.4, 1), [0, 1, 0]))
-    middle = hand.mean(0)
-
-    def led(x):
-        return np.stack([turn.apply(x - middle) + middle + [0, 0, up] for turn, up in zip(turns, rise, strict=True)])
-
-    points = led(block[:count]) if points is None else points
-    seen = np.ones(points.shape[:2], bool)
-    return Observed(
-        name="block",
-        points=points,
-        visible=seen,
-        motion_valid=seen,
-        controllers=led(hand),
-        interior=block[count:],
-        gravity=np.array([0, 0, -9.8]),
-        ground=Plane(np.array([0, 0, 1.0]), 0.0),
-    )
+TRUE = dict(youngs_modulus=8e3, damping_time=0.01)
 
 
 def scene_of(recording, pitch=0.02):
