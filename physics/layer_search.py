@@ -1,0 +1,282 @@
+"""Which layers might meet soon: pairs of a vertex and a triangle, and of two edges, of one system, with a margin for their speed.
+
+Every pair is looked at, first as two balls around where its sides are and may get to, which takes a nanosecond: for a sheet of 400 nodes
+that is faster than to file edges in cubes, since the cubes must be as wide as triangles are, plus the margin. What is left is a candidate
+where the distance d of the nearest places and the largest difference u of the nodes' velocities say so,
+
+    d - u T < 2 h,
+
+with the thickness h and the time T until the next search, at most ``SEARCH``. What an acceleration adds to u T may be h before a pair that
+meets is missed: with 3 mm, that of 86 m/s^2; then it is found by the next search.
+
+Nodes nearer along the body than ``BESIDE`` thicknesses never meet: triangles and edges that share a corner, and parts of a rope between
+which it could not turn back.
+"""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from .hinges import incidence
+from .layers import CARRIED, nearest_places
+from .terms.base import STAGES
+
+__all__ = ["SEARCH", "Pairs", "assemble_layers", "edges_and_faces", "seek_layers", "side_by_side"]
+
+SEARCH = 1 / 120  # s, at most, from one search to the next
+BESIDE = 1.5  # thicknesses along the body: a strand that turns back within so much would be bent by 171 degrees
+
+
+def edges_and_faces(system) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(vertices (V,), edges (E, 2), triangles (F, 3)) of a system's sheet and chains, as its nodes; hands that are nodes are none."""
+    count = system.particle_count
+    faces = np.zeros((0, 3), int) if system.sheet is None else system.sheet.triangles
+    sides = [faces[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]
+    grips = np.append(np.arange(count), np.where(system.grips < 0, count, system.grips))
+    walks = [np.stack([grips[c[:-1]], grips[c[1:]]], 1) for c in system.chains]
+    edges = np.sort(np.concatenate([np.zeros((0, 2), int), *sides, *walks]), axis=1)
+    edges = np.unique(edges[edges[:, 1] < count], axis=0)
+    return np.unique(edges), edges, faces
+
+
+def side_by_side(system, edges, reach: float):
+    """Sparse (M, M) matrix with an entry for every two particles, or one twice, that are at most ``reach`` [m] apart along ``edges``."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    count = system.particle_count
+    length = np.maximum(np.linalg.norm(np.diff(system.positions[edges], axis=1)[:, 0], axis=1), 1e-9)
+    graph = coo_matrix((length, edges.T), (count, count)).tocsr()
+    if not (length <= reach).any():
+        return coo_matrix((np.ones(count), (np.arange(count),) * 2)).tocsr()
+    return coo_matrix(np.isfinite(dijkstra(graph, directed=False, limit=reach))).tocsr()
+
+
+def assemble_layers(systems, starts, wanted: bool) -> dict[str, np.ndarray]:
+    """Constants of the search: every system's edges, then its vertices, then its triangles. Nothing where it is not ``wanted``."""
+    items, first, kin_row, kin = [], [], [[0]], []
+    begun = known = 0
+    for system, start in zip(systems, starts, strict=False):
+        vertices, edges, faces = edges_and_faces(system) if wanted else (np.zeros((0, n), int) for n in (1, 2, 3))
+        vertices, edges = vertices.reshape(-1, 1), edges.reshape(-1, 2)
+        own = np.concatenate([edges[:, [0, 1, 1]], vertices[:, [0, 0, 0]], faces])
+        items.append(own + start)
+        first.append([begun, begun + len(edges), begun + len(edges) + len(vertices), begun + len(own)])
+        begun += len(own)
+        if wanted:
+            thick = next(t for t in system.terms if t.stage == "layer").values
+            near = side_by_side(system, edges, BESIDE * next(iter(thick.values())))
+            alone = int((system.grips < 0).sum())
+            kin_row.append(np.append(near.indptr[1:], np.full(alone, near.nnz)) + known)
+            kin.append(near.indices + start)
+            known += near.nnz
+    joined = np.concatenate([np.zeros((0, 3), int), *items])
+    return dict(
+        layer_item=joined,
+        layer_first=np.array(first),
+        layer_system=np.repeat(np.arange(len(systems)), [f[-1] - f[0] for f in first]),
+        kin_row=np.concatenate(kin_row),
+        kin=np.concatenate([np.zeros(0, int), *kin]),
+    )
+
+
+class Pairs(SimpleNamespace):
+    """C candidates: pair (C, 4) nodes, pair_edges (C,) 1: two edges, 0: a vertex and a triangle, pair_load (C,) kg, pair_start (B+1,) the
+    first of each system, pair_row (nodes+1,) and pair_of (4 C,): where each node is in them, as 4 pair + place."""
+
+    @classmethod
+    def none(cls, batch):
+        """No candidates."""
+        made = dict(dtype=torch.int32, device=batch.device)
+        return cls(
+            pair=torch.zeros((0, 4), **made),
+            pair_edges=torch.zeros(0, **made),
+            pair_load=torch.zeros(0, dtype=batch.dtype, device=batch.device),
+            pair_start=torch.zeros(len(batch.systems) + 1, **made),
+            pair_row=torch.zeros(batch.node_count + 1, **made),
+            pair_of=torch.zeros(0, **made),
+        )
+
+
+def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, horizon: torch.Tensor) -> Pairs:
+    """The pairs that may meet within ``horizon`` (B,) [s] of (x, v) (nodes, 3) [m, m/s]; ``table`` (B, columns) parameters."""
+    kernels, known = _kernels(batch.kernels.vec, batch.kernels.four, batch.kernels.real), batch.layers
+    count = len(known["layer_item"])
+    world = _world(batch, kernels, x, v, table, horizon)
+    for kernel in (kernels.enclose, kernels.count):
+        wp.launch(kernel, dim=count, inputs=[world], device=batch._device)
+    ends = torch.cumsum(wp.to_torch(world.found), 0, dtype=torch.int64)
+    row = torch.zeros(count + 1, dtype=torch.int32, device=batch.device)
+    row[1:] = ends
+    found = Pairs.none(batch)
+    found.pair_start = row[batch.layer_starts]
+    if not (total := int(ends[-1]) if count else 0):
+        return found
+    found.pair = torch.empty((total, 4), dtype=torch.int32, device=batch.device)
+    found.pair_edges = torch.empty(total, dtype=torch.int32, device=batch.device)
+    outs = [wp.from_torch(t) for t in (row, found.pair, found.pair_edges)]
+    wp.launch(kernels.fill, dim=count, inputs=[world, *outs], device=batch._device)
+    found.pair_load = CARRIED * batch.layers["layer_mass"][found.pair.long()].amin(1)
+    found.pair_row, found.pair_of = _incidence(found.pair, batch.node_count)
+    return found
+
+
+def _incidence(members, count):
+    """``hinges.incidence`` on the device."""
+    if members.device.type == "cpu":
+        row, of = incidence(members.numpy(), count)
+        return torch.from_numpy(row.astype(np.int32)), torch.from_numpy(of.astype(np.int32))
+    flat = members.flatten().long()
+    row = torch.zeros(count + 1, dtype=torch.int64, device=flat.device)
+    row[1:] = torch.cumsum(torch.bincount(flat, minlength=count), 0)
+    return row.int(), torch.argsort(flat, stable=True).int()
+
+
+def _world(batch, kernels, x, v, table, horizon):
+    """The kernels' struct over the arrays of one search."""
+    known, world, vec = batch.layers, kernels.World(), batch.kernels.vec
+    count = len(known["layer_item"])
+    for name, field in (("layer_item", "item"), ("layer_first", "first"), ("layer_system", "owner"), ("kin_row", "kin_row"), ("kin", "kin")):
+        setattr(world, field, wp.from_torch(known[name]))
+    world.x, world.v = (wp.from_torch(t.detach().contiguous(), dtype=vec) for t in (x, v))
+    world.table, world.horizon = wp.from_torch(table.detach().contiguous()), wp.from_torch(horizon)
+    world.column = sum(batch.laws.width(s) for s in STAGES[: STAGES.index("layer")])
+    still = torch.zeros((len(batch.systems), 3), dtype=v.dtype, device=v.device).index_add_(0, batch.system_of, v.detach())
+    world.still = wp.from_torch(still / torch.bincount(batch.system_of)[:, None], dtype=vec)
+    world.ball = wp.empty(max(1, count), dtype=batch.kernels.four, device=batch._device)
+    world.found = wp.zeros(max(1, count), dtype=wp.int32, device=batch._device)
+    return world
+
+
+@cache
+def _kernels(vec: Any, four: Any, R: Any):
+    """The three kernels, each with one thread an edge, vertex or triangle, and the struct that carries their arrays."""
+    on_face, on_edges = nearest_places(R, vec, four)
+
+    @wp.struct
+    class World:
+        item: wp.array2d(dtype=wp.int32)  # (I, 3) nodes; the last again where it has fewer
+        first: wp.array2d(dtype=wp.int32)  # (B, 4) first edge, vertex and triangle of a system, and what follows them
+        owner: wp.array(dtype=wp.int32)  # (I,) system
+        kin_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        kin: wp.array(dtype=wp.int32)  # the nodes that are beside it
+        x: wp.array(dtype=vec)  # (nodes,) m
+        v: wp.array(dtype=vec)  # (nodes,) m/s
+        table: wp.array2d(dtype=R)  # (B, columns) parameters
+        column: wp.int32  # of the thickness
+        horizon: wp.array(dtype=R)  # (B,) s
+        still: wp.array(dtype=vec)  # (B,) m/s, any velocity near those of the system
+        ball: wp.array(dtype=four)  # (I,) middle and radius of where an item may get to, with its part of 2 h
+        found: wp.array(dtype=wp.int32)  # (I,) candidates
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def enclose(w: World):
+        i = wp.tid()
+        b = w.owner[i]
+        a0 = w.x[w.item[i, 0]]
+        a1 = w.x[w.item[i, 1]]
+        a2 = w.x[w.item[i, 2]]
+        middle = (wp.min(wp.min(a0, a1), a2) + wp.max(wp.max(a0, a1), a2)) * R(0.5)
+        size = wp.max(wp.max(wp.length(a0 - middle), wp.length(a1 - middle)), wp.length(a2 - middle))
+        u0 = wp.length(w.v[w.item[i, 0]] - w.still[b])
+        u1 = wp.length(w.v[w.item[i, 1]] - w.still[b])
+        u2 = wp.length(w.v[w.item[i, 2]] - w.still[b])
+        # a little wider, so that rounding leaves no pair out
+        radius = (size + wp.max(wp.max(u0, u1), u2) * w.horizon[b] + w.table[b, w.column]) * R(1.0001)
+        w.ball[i] = four(middle[0], middle[1], middle[2], radius)
+
+    @wp.func
+    def beside(w: World, i: int, j: int):
+        found = bool(False)
+        for e in range(w.kin_row[i], w.kin_row[i + 1]):
+            if w.kin[e] == j:
+                found = True
+        return found
+
+    @wp.func
+    def speed(w: World, i: int, j: int):
+        return wp.length(w.v[i] - w.v[j])
+
+    @wp.func
+    def soon(w: World, b: int, i: int, j: int, edges: bool):
+        """Whether items ``i`` and ``j`` of system ``b`` may meet."""
+        a = w.item[i, 0]
+        e = w.item[j, 0]
+        f = w.item[j, 1]
+        fastest = wp.max(speed(w, a, e), speed(w, a, f))
+        weight = four()
+        apart = vec()
+        if edges:
+            c = w.item[i, 1]
+            if beside(w, a, e) or beside(w, a, f) or beside(w, c, e) or beside(w, c, f):
+                return False
+            weight = on_edges(w.x[a], w.x[c], w.x[e], w.x[f])
+            apart = w.x[a] * weight[0] + w.x[c] * weight[1] + w.x[e] * weight[2] + w.x[f] * weight[3]
+            fastest = wp.max(fastest, wp.max(speed(w, c, e), speed(w, c, f)))
+        else:
+            g = w.item[j, 2]
+            if beside(w, a, e) or beside(w, a, f) or beside(w, a, g):
+                return False
+            weight = on_face(w.x[a], w.x[e], w.x[f], w.x[g])
+            apart = w.x[a] + w.x[e] * weight[1] + w.x[f] * weight[2] + w.x[g] * weight[3]
+            fastest = wp.max(fastest, speed(w, a, g))
+        return wp.length(apart) < fastest * w.horizon[b] + R(2.0) * w.table[b, w.column]
+
+    @wp.func
+    def others(w: World, i: int):
+        """(first, after the last) item that item ``i`` may meet, and whether both are edges."""
+        b = w.owner[i]
+        if i < w.first[b, 1]:
+            return i + 1, w.first[b, 1], True
+        if i < w.first[b, 2]:
+            return w.first[b, 2], w.first[b, 3], False
+        return 0, 0, False
+
+    @wp.func
+    def touch(p: four, q: four):
+        x = p[0] - q[0]
+        y = p[1] - q[1]
+        z = p[2] - q[2]
+        reach = p[3] + q[3]
+        return x * x + y * y + z * z < reach * reach
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def count(w: World):
+        i = wp.tid()
+        begin, end, edges = others(w, i)
+        ball = w.ball[i]
+        found = wp.int32(0)
+        for j in range(begin, end):
+            if touch(ball, w.ball[j]):
+                if soon(w, w.owner[i], i, j, edges):
+                    found += 1
+        w.found[i] = found
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def fill(w: World, row: wp.array(dtype=wp.int32), pair: wp.array2d(dtype=wp.int32), of_edges: wp.array(dtype=wp.int32)):
+        i = wp.tid()
+        at = wp.int32(row[i])
+        if row[i + 1] > at:
+            begin, end, edges = others(w, i)
+            ball = w.ball[i]
+            for j in range(begin, end):
+                if touch(ball, w.ball[j]):
+                    if soon(w, w.owner[i], i, j, edges):
+                        pair[at, 0] = w.item[i, 0]
+                        if edges:
+                            pair[at, 1] = w.item[i, 1]
+                            pair[at, 2] = w.item[j, 0]
+                            pair[at, 3] = w.item[j, 1]
+                            of_edges[at] = 1
+                        else:
+                            pair[at, 1] = w.item[j, 0]
+                            pair[at, 2] = w.item[j, 1]
+                            pair[at, 3] = w.item[j, 2]
+                            of_edges[at] = 0
+                        at += 1
+
+    return SimpleNamespace(World=World, enclose=enclose, count=count, fill=fill)
