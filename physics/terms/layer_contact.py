@@ -11,6 +11,7 @@ from .base import Term
 __all__ = ["LayerContact"]
 
 PRESSED = 0.2  # of the thickness: where less is left, pressure goes on at the secant there; the step stays stable up to it
+SOFT = 0.2  # of the thickness, over which damping of the approach begins: a jump at the first touch would have no derivative
 
 
 @wp.func
@@ -20,16 +21,18 @@ def keep_apart(apart: Any, rate: Any, m: Any, p: Any, o: int):
     distance = wp.max(wp.length(apart), type(m)(1.0e-9))
     n = apart / distance
     gap = p[o] - distance
-    left = wp.max(distance / wp.max(p[o], type(m)(1.0e-9)), type(m)(PRESSED))
+    h = wp.max(p[o], type(m)(1.0e-9))
+    left = wp.max(distance / h, type(m)(PRESSED))
     damping = m * p[o + 1] * (p[o + 2] + p[o + 2])
     closing = wp.dot(rate, n)
-    push = wp.where(gap > zero, wp.max(m * p[o + 1] * p[o + 1] * gap / left - damping * closing, zero), zero)
+    slowed = damping * closing * wp.clamp(gap / (h * type(m)(SOFT)), zero, one)
+    push = wp.where(gap > zero, wp.max(m * p[o + 1] * p[o + 1] * gap / left - slowed, zero), zero)
     drag = (rate - n * closing) * -damping
     return n * push + drag * wp.min(one, p[o + 3] * push / wp.max(wp.length(drag), type(m)(1.0e-12)))
 
 
 class LayerContact(Term):
-    """N = m w (w (h - d) h / d - 2 z v_n) > 0 at a distance d below the thickness h, and T = -2 m w z v_t, |T| <= mu N.
+    """N = m w (w (h - d) h / d - 2 z v_n) > 0 at a distance d well below the thickness h, and T = -2 m w z v_t, |T| <= mu N.
 
     m is a share of a node's mass such that a node between two layers of as fine a mesh feels w (``physics.layers``). Friction is that of
     Coulomb, regularised: what sticks creeps. Nothing is remembered, so that two layers that have passed through each other stay so.
@@ -56,8 +59,8 @@ class LayerContact(Term):
         n, gap = apart / distance, layer_thickness - distance
         if gap <= 0:
             return np.zeros(3)
-        left = max(distance / max(layer_thickness, 1e-9), PRESSED)
-        closing = rate @ n
-        push = max(m * layer_rate**2 * gap / left - 2 * m * layer_rate * layer_damping * closing, 0.0)
+        h = max(layer_thickness, 1e-9)
+        closing, soft = rate @ n, min(1.0, gap / (SOFT * h))
+        push = max(m * layer_rate**2 * gap / max(distance / h, PRESSED) - 2 * m * layer_rate * layer_damping * closing * soft, 0.0)
         drag = -2 * m * layer_rate * layer_damping * (rate - closing * n)
         return n * push + drag * min(1.0, layer_friction * push / max(np.linalg.norm(drag), 1e-12))
