@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -217,7 +218,8 @@ class Batch:
     def _assemble_layers(self, mass, systems, start):
         """What the search for layers that meet reads (``physics.layer_search``), and how often a frame anything is looked up."""
         found = assemble_layers(systems, start, self.layered)
-        self.layer_starts = self._ints(np.append(found["layer_first"][:, 0], found["layer_first"][-1, 3])).long()
+        self.layer_starts = self._ints(np.append(found["layer_first"][:, 0], found["layer_first"][-1, 6])).long()
+        self.layer_scratch = SimpleNamespace()
         self.layers = {k: self._ints(v) for k, v in found.items()} | {"layer_mass": self._real(mass)}
         longest = float((self.substeps * self.dt).max())  # s of a frame
         self.searches = max(1, math.ceil(longest / SEARCH - 1e-6)) if self.layered else int(self.colliding)

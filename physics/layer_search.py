@@ -1,8 +1,9 @@
 """Which layers might meet soon: pairs of a vertex and a triangle, and of two edges, of one system, with a margin for their speed.
 
-Every pair is looked at, first as two balls around where its sides are and may get to, which takes a nanosecond: for a sheet of 400 nodes
-that is faster than to file edges in cubes, since the cubes must be as wide as triangles are, plus the margin. What is left is a candidate
-where the distance d of the nearest places and the largest difference u of the nodes' velocities say so,
+Every edge looks through balls around where groups of some ``GROUP`` others are and may get to, and in those that it meets through the
+others' own; so does every vertex through triangles. (To file them in cubes is no faster for sheets of a thousand nodes, since the cubes must
+be as wide as triangles are, plus the margin.) What is left is a candidate where the distance d of the nearest places and the largest
+difference u of the nodes' velocities say so,
 
     d - u T < 2 h,
 
@@ -23,10 +24,12 @@ import warp as wp
 
 from .hinges import incidence
 from .layers import CARRIED, nearest_places
+from .packing import bisect
 from .terms.base import STAGES
 
 __all__ = ["SEARCH", "Pairs", "assemble_layers", "edges_and_faces", "seek_layers", "side_by_side"]
 
+GROUP = 24  # edges or triangles
 SEARCH = 1 / 120  # s, at most, from one search to the next
 BESIDE = 1.5  # thicknesses along the body: a strand that turns back within so much would be bent by 171 degrees
 
@@ -57,16 +60,22 @@ def side_by_side(system, edges, reach: float):
 
 
 def assemble_layers(systems, starts, wanted: bool) -> dict[str, np.ndarray]:
-    """Constants of the search: every system's edges, then its vertices, then its triangles. Nothing where it is not ``wanted``."""
-    items, first, kin_row, kin = [], [], [[0]], []
+    """Constants of the search: every system's edges, then its vertices, then its triangles, neighbours in groups. Nothing where it is not
+    ``wanted``."""
+    items, first, kin_row, kin, groups = [], [], [[0]], [], []
     begun = known = 0
     for system, start in zip(systems, starts, strict=False):
         vertices, edges, faces = edges_and_faces(system) if wanted else (np.zeros((0, n), int) for n in (1, 2, 3))
         vertices, edges = vertices.reshape(-1, 1), edges.reshape(-1, 2)
-        own = np.concatenate([edges[:, [0, 1, 1]], vertices[:, [0, 0, 0]], faces])
-        items.append(own + start)
-        first.append([begun, begun + len(edges), begun + len(edges) + len(vertices), begun + len(own)])
-        begun += len(own)
+        row = [begun, len(groups)]
+        for own, all_three in ((edges, [0, 1, 1]), (vertices, [0, 0, 0]), (faces, [0, 1, 2])):
+            parts = bisect(system.positions[own].mean(1), np.ones(len(own)), max(1, -(-len(own) // GROUP)))
+            items += [own[part][:, all_three] + start for part in parts]
+            sizes = np.array([len(part) for part in parts if len(part)], int)
+            groups += [(begun + end - size, begun + end) for size, end in zip(sizes, np.cumsum(sizes), strict=True)]
+            begun += len(own)
+            row += [begun, len(groups)]
+        first.append(row)
         if wanted:
             thick = next(t for t in system.terms if t.stage == "layer").values
             near = side_by_side(system, edges, BESIDE * next(iter(thick.values())))
@@ -78,7 +87,8 @@ def assemble_layers(systems, starts, wanted: bool) -> dict[str, np.ndarray]:
     return dict(
         layer_item=joined,
         layer_first=np.array(first),
-        layer_system=np.repeat(np.arange(len(systems)), [f[-1] - f[0] for f in first]),
+        layer_group=np.array(groups, int).reshape(-1, 2),
+        layer_system=np.repeat(np.arange(len(systems)), [f[-2] - f[0] for f in first]),
         kin_row=np.concatenate(kin_row),
         kin=np.concatenate([np.zeros(0, int), *kin]),
     )
@@ -91,8 +101,10 @@ class Pairs(SimpleNamespace):
     @classmethod
     def none(cls, batch):
         """No candidates."""
+        if "none" in vars(batch.layer_scratch):
+            return cls(**batch.layer_scratch.none)
         made = dict(dtype=torch.int32, device=batch.device)
-        return cls(
+        batch.layer_scratch.none = dict(
             pair=torch.zeros((0, 4), **made),
             pair_edges=torch.zeros(0, **made),
             pair_load=torch.zeros(0, dtype=batch.dtype, device=batch.device),
@@ -100,6 +112,7 @@ class Pairs(SimpleNamespace):
             pair_row=torch.zeros(batch.node_count + 1, **made),
             pair_of=torch.zeros(0, **made),
         )
+        return cls(**batch.layer_scratch.none)
 
 
 def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, horizon: torch.Tensor) -> Pairs:
@@ -107,15 +120,15 @@ def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, ho
     kernels, known = _kernels(batch.kernels.vec, batch.kernels.four, batch.kernels.real), batch.layers
     count = len(known["layer_item"])
     world = _world(batch, kernels, x, v, table, horizon)
-    for kernel in (kernels.enclose, kernels.count):
-        wp.launch(kernel, dim=count, inputs=[world], device=batch._device)
+    for kernel, size in ((kernels.enclose, count), (kernels.gather, len(known["layer_group"])), (kernels.count, count)):
+        wp.launch(kernel, dim=size, inputs=[world], device=batch._device)
     ends = torch.cumsum(wp.to_torch(world.found), 0, dtype=torch.int64)
     row = torch.zeros(count + 1, dtype=torch.int32, device=batch.device)
     row[1:] = ends
     found = Pairs.none(batch)
-    found.pair_start = row[batch.layer_starts]
     if not (total := int(ends[-1]) if count else 0):
         return found
+    found.pair_start = row[batch.layer_starts]
     found.pair = torch.empty((total, 4), dtype=torch.int32, device=batch.device)
     found.pair_edges = torch.empty(total, dtype=torch.int32, device=batch.device)
     outs = [wp.from_torch(t) for t in (row, found.pair, found.pair_edges)]
@@ -138,30 +151,35 @@ def _incidence(members, count):
 
 def _world(batch, kernels, x, v, table, horizon):
     """The kernels' struct over the arrays of one search."""
-    known, world, vec = batch.layers, kernels.World(), batch.kernels.vec
-    count = len(known["layer_item"])
-    for name, field in (("layer_item", "item"), ("layer_first", "first"), ("layer_system", "owner"), ("kin_row", "kin_row"), ("kin", "kin")):
-        setattr(world, field, wp.from_torch(known[name]))
+    vec, four = batch.kernels.vec, batch.kernels.four
+    if "world" not in vars(batch.layer_scratch):
+        world, known = kernels.World(), batch.layers
+        for name in ("layer_item", "layer_first", "layer_group", "layer_system", "kin_row", "kin"):
+            setattr(world, name.removeprefix("layer_"), wp.from_torch(known[name]))
+        world.column = sum(batch.laws.width(s) for s in STAGES[: STAGES.index("layer")])
+        count = max(1, len(known["layer_item"]))
+        world.ball, world.found = wp.empty(count, dtype=four, device=batch._device), wp.zeros(count, dtype=wp.int32, device=batch._device)
+        world.around = wp.empty(max(1, len(known["layer_group"])), dtype=four, device=batch._device)
+        batch.layer_scratch.world, batch.layer_scratch.sizes = world, torch.bincount(batch.system_of)[:, None]
+    world = batch.layer_scratch.world
     world.x, world.v = (wp.from_torch(t.detach().contiguous(), dtype=vec) for t in (x, v))
     world.table, world.horizon = wp.from_torch(table.detach().contiguous()), wp.from_torch(horizon)
-    world.column = sum(batch.laws.width(s) for s in STAGES[: STAGES.index("layer")])
     still = torch.zeros((len(batch.systems), 3), dtype=v.dtype, device=v.device).index_add_(0, batch.system_of, v.detach())
-    world.still = wp.from_torch(still / torch.bincount(batch.system_of)[:, None], dtype=vec)
-    world.ball = wp.empty(max(1, count), dtype=batch.kernels.four, device=batch._device)
-    world.found = wp.zeros(max(1, count), dtype=wp.int32, device=batch._device)
+    world.still = wp.from_torch(still / batch.layer_scratch.sizes, dtype=vec)
     return world
 
 
 @cache
 def _kernels(vec: Any, four: Any, R: Any):
-    """The three kernels, each with one thread an edge, vertex or triangle, and the struct that carries their arrays."""
+    """The four kernels, each with one thread an edge, vertex or triangle, or group of them, and the struct that carries their arrays."""
     on_face, on_edges = nearest_places(R, vec, four)
 
     @wp.struct
     class World:
         item: wp.array2d(dtype=wp.int32)  # (I, 3) nodes; the last again where it has fewer
-        first: wp.array2d(dtype=wp.int32)  # (B, 4) first edge, vertex and triangle of a system, and what follows them
-        owner: wp.array(dtype=wp.int32)  # (I,) system
+        first: wp.array2d(dtype=wp.int32)  # (B, 8) first edge of a system and its group, likewise vertex, triangle, and what follows them
+        group: wp.array2d(dtype=wp.int32)  # (Q, 2) first item, and the one after the last
+        system: wp.array(dtype=wp.int32)  # (I,)
         kin_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
         kin: wp.array(dtype=wp.int32)  # the nodes that are beside it
         x: wp.array(dtype=vec)  # (nodes,) m
@@ -171,12 +189,13 @@ def _kernels(vec: Any, four: Any, R: Any):
         horizon: wp.array(dtype=R)  # (B,) s
         still: wp.array(dtype=vec)  # (B,) m/s, any velocity near those of the system
         ball: wp.array(dtype=four)  # (I,) middle and radius of where an item may get to, with its part of 2 h
+        around: wp.array(dtype=four)  # (Q,) a ball around those of a group
         found: wp.array(dtype=wp.int32)  # (I,) candidates
 
     @wp.kernel(module="unique", enable_backward=False)
     def enclose(w: World):
         i = wp.tid()
-        b = w.owner[i]
+        b = w.system[i]
         a0 = w.x[w.item[i, 0]]
         a1 = w.x[w.item[i, 1]]
         a2 = w.x[w.item[i, 2]]
@@ -188,6 +207,23 @@ def _kernels(vec: Any, four: Any, R: Any):
         # a little wider, so that rounding leaves no pair out
         radius = (size + wp.max(wp.max(u0, u1), u2) * w.horizon[b] + w.table[b, w.column]) * R(1.0001)
         w.ball[i] = four(middle[0], middle[1], middle[2], radius)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def gather(w: World):
+        q = wp.tid()
+        ball = w.ball[w.group[q, 0]]
+        low = vec(ball[0], ball[1], ball[2])
+        high = low
+        for i in range(w.group[q, 0], w.group[q, 1]):
+            at = vec(w.ball[i][0], w.ball[i][1], w.ball[i][2])
+            low = wp.min(low, at)
+            high = wp.max(high, at)
+        middle = (low + high) * R(0.5)
+        radius = R(0.0)
+        for i in range(w.group[q, 0], w.group[q, 1]):
+            at = vec(w.ball[i][0], w.ball[i][1], w.ball[i][2])
+            radius = wp.max(radius, (wp.length(at - middle) + w.ball[i][3]) * R(1.0001))
+        w.around[q] = four(middle[0], middle[1], middle[2], radius)
 
     @wp.func
     def beside(w: World, i: int, j: int):
@@ -228,12 +264,12 @@ def _kernels(vec: Any, four: Any, R: Any):
 
     @wp.func
     def others(w: World, i: int):
-        """(first, after the last) item that item ``i`` may meet, and whether both are edges."""
-        b = w.owner[i]
-        if i < w.first[b, 1]:
-            return i + 1, w.first[b, 1], True
+        """(first, after the last) group that item ``i`` may meet, and whether both are edges."""
+        b = w.system[i]
         if i < w.first[b, 2]:
-            return w.first[b, 2], w.first[b, 3], False
+            return w.first[b, 1], w.first[b, 3], True
+        if i < w.first[b, 4]:
+            return w.first[b, 5], w.first[b, 7], False
         return 0, 0, False
 
     @wp.func
@@ -250,11 +286,27 @@ def _kernels(vec: Any, four: Any, R: Any):
         begin, end, edges = others(w, i)
         ball = w.ball[i]
         found = wp.int32(0)
-        for j in range(begin, end):
-            if touch(ball, w.ball[j]):
-                if soon(w, w.owner[i], i, j, edges):
-                    found += 1
+        for q in range(begin, end):
+            if w.group[q, 1] > i and touch(ball, w.around[q]):
+                for j in range(wp.max(i + 1, w.group[q, 0]), w.group[q, 1]):  # a triangle comes after each vertex
+                    if touch(ball, w.ball[j]):
+                        if soon(w, w.system[i], i, j, edges):
+                            found += 1
         w.found[i] = found
+
+    @wp.func
+    def write(w: World, i: int, j: int, edges: bool, at: int, pair: wp.array2d(dtype=wp.int32), of_edges: wp.array(dtype=wp.int32)):
+        pair[at, 0] = w.item[i, 0]
+        if edges:
+            pair[at, 1] = w.item[i, 1]
+            pair[at, 2] = w.item[j, 0]
+            pair[at, 3] = w.item[j, 1]
+            of_edges[at] = 1
+        else:
+            pair[at, 1] = w.item[j, 0]
+            pair[at, 2] = w.item[j, 1]
+            pair[at, 3] = w.item[j, 2]
+            of_edges[at] = 0
 
     @wp.kernel(module="unique", enable_backward=False)
     def fill(w: World, row: wp.array(dtype=wp.int32), pair: wp.array2d(dtype=wp.int32), of_edges: wp.array(dtype=wp.int32)):
@@ -263,20 +315,12 @@ def _kernels(vec: Any, four: Any, R: Any):
         if row[i + 1] > at:
             begin, end, edges = others(w, i)
             ball = w.ball[i]
-            for j in range(begin, end):
-                if touch(ball, w.ball[j]):
-                    if soon(w, w.owner[i], i, j, edges):
-                        pair[at, 0] = w.item[i, 0]
-                        if edges:
-                            pair[at, 1] = w.item[i, 1]
-                            pair[at, 2] = w.item[j, 0]
-                            pair[at, 3] = w.item[j, 1]
-                            of_edges[at] = 1
-                        else:
-                            pair[at, 1] = w.item[j, 0]
-                            pair[at, 2] = w.item[j, 1]
-                            pair[at, 3] = w.item[j, 2]
-                            of_edges[at] = 0
-                        at += 1
+            for q in range(begin, end):
+                if w.group[q, 1] > i and touch(ball, w.around[q]):
+                    for j in range(wp.max(i + 1, w.group[q, 0]), w.group[q, 1]):
+                        if touch(ball, w.ball[j]):
+                            if soon(w, w.system[i], i, j, edges):
+                                write(w, i, j, edges, at, pair, of_edges)
+                                at += 1
 
-    return SimpleNamespace(World=World, enclose=enclose, count=count, fill=fill)
+    return SimpleNamespace(World=World, enclose=enclose, gather=gather, count=count, fill=fill)

@@ -177,6 +177,15 @@ class World(Carrier):
         self.struct.nodes = n
         self.pair(layers or Pairs.none(batch))
 
+    def go_on(self, x, v, memory, directors, cell_memory, anchor, out) -> None:
+        """Start again, in slot 0, at the tensors of ``STATE``."""
+        self.states[0, :, 0:3], self.states[0, :, 4:7] = x, v
+        self.ways[0], self.anchors[0], self.memory = directors, anchor, memory
+        if self._batch.remembering:
+            self.memories[0] = memory[self._batch.constants["spring"].long()]
+        self.cell_memories[:1] = cell_memory
+        self.set(out=out)
+
     def pair(self, layers: Pairs) -> None:
         """Take ``layers`` as the candidates among them."""
         count, real = len(layers.pair), dict(dtype=self._batch.dtype, device=self._batch.device)
@@ -296,18 +305,22 @@ class March(torch.autograd.Function):
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
         stretches = batch.stretches(frames, history=back)
-        ctx.starts, ctx.world, near, layers = [], None, None, None
+        ctx.starts, ctx.world, world, near, layers = [], None, None, None, None
         keep = back and len(stretches) == 1
         for stretch in stretches:
             fresh = stretch.horizon is not None
             sought = seek(batch, state[0], values["table"]) if batch.colliding and fresh else None
-            world = World(batch, values, *state, near, layers, stretch.history if keep else 2, out[stretch.frame :])  # meanwhile
+            if world is None or keep:
+                world = World(batch, values, *state, near, layers, stretch.history if keep else 2, out[stretch.frame :])  # meanwhile
+            else:
+                world.go_on(*state, out[stretch.frame :])
             if sought:
                 near = sought()
                 world.set(near_row=near[0], near=near[1])
             if batch.layered and fresh:
                 layers = seek_layers(batch, *state[:2], values["table"], batch.seconds(stretch.horizon))
-                world.pair(layers)
+                if len(layers.pair) or len(world.tensors["pair"]):
+                    world.pair(layers)
             ctx.starts.append((*state, near, layers))
             batch.forward(world, frame, stretch)
             state = world.end(stretch)

@@ -131,6 +131,11 @@ def every_pair(system):
     return np.array([p for p, _ in found]), np.array([e for _, e in found])
 
 
+def named(pair, edges):
+    """The same for a pair of edges whichever comes first."""
+    return (*sorted((tuple(pair[:2]), tuple(pair[2:]))), True) if edges else (*pair, False)
+
+
 def test_candidates_are_all_that_are_near():
     # d - u T < 2 h by numpy, over all pairs; in a batch of three, each has its own
     systems = [crumpled(seed) for seed in range(3)]
@@ -139,14 +144,15 @@ def test_candidates_are_all_that_are_near():
     found = seek_layers(batch, batch.inputs.x, batch.inputs.v, batch.inputs.table, horizon)
     for b, system in enumerate(systems):
         own = slice(int(found.pair_start[b]), int(found.pair_start[b + 1]))
-        mine = {(*map(int, p), bool(e)) for p, e in zip(found.pair[own] - batch.starts[b], found.pair_edges[own], strict=True)}
+        mine = {named(p, e) for p, e in zip((found.pair[own] - batch.starts[b]).tolist(), found.pair_edges[own].tolist(), strict=True)}
         pairs, edges = every_pair(system)
         x, v = system.positions[pairs], system.velocities[pairs]
         weights = np.where(edges[:, None], nearest_edges(x[:, :2], x[:, 2:]), nearest_face(x[:, :1], x[:, 1:]))
         far = np.linalg.norm(np.einsum("ck,cki->ci", weights, x), axis=1)
         apart = np.linalg.norm(v[:, :, None] - v[:, None], axis=3)
         fastest = np.where(edges, apart[:, :2, 2:].max((1, 2)), apart[:, 0, 1:].max(1))
-        wanted = {(*map(int, p), bool(e)) for p, e, near in zip(pairs, edges, far - 0.004 * fastest < 0.012, strict=True) if near}
+        near = far - 0.004 * fastest < 0.012
+        wanted = {named(p, e) for p, e in zip(pairs[near].tolist(), edges[near].tolist(), strict=True)}
         assert mine == wanted and len(wanted) > 200
 
 
@@ -250,7 +256,12 @@ def rope(points, *terms, rings=1, masses=0.002, path=None, grips=()):
         controllers=x[None, list(grips)] if path is None else path,
         grips=list(grips),
         terms=[
-            *(Springs(), Dashpot({"dashpot_damping": 0.3}), Bending({"bending_stiffness": 1e-4}), BendingDamping({"bending_damping": 1e-6})),
+            *(
+                Springs(),
+                Dashpot({"dashpot_damping": 0.3}),
+                Bending({"bending_stiffness": 1e-4}),
+                BendingDamping({"bending_damping": 1e-6}),
+            ),
             *(LinearDrag({"drag_damping": 1.0}), *terms),
         ],
     )
@@ -303,7 +314,7 @@ def test_a_coil_is_pulled_open():
     moved = np.linalg.norm(np.diff(kept, axis=0), axis=2).max()
     assert 2 * moved < 2 * found.nearest  # both sides of a pair, and the distance before and after
     length = np.linalg.norm(np.diff(coil, axis=0), axis=1).sum()
-    assert np.ptp(kept[-1][:, 2]) == pytest.approx(length, rel=0.05)  # it hangs straight; 3 N of tension per strain of 0.05
+    assert np.ptp(kept[-1][:, 2]) == pytest.approx(length, rel=0.05)  # it hangs straight, longer by 1.5 % (1.8 N / 60 N / 2)
 
 
 def test_the_step_does_not_shrink():

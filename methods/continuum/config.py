@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DENSITY", "RESTS", "STARTS", "Config"]
+__all__ = ["CONTACTS", "DENSITY", "RESTS", "STARTS", "Config"]
 
 DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it show in a motion
 RESTS = ("as it lies", "equilibrium")
 STARTS = ("auto", "rest", "frames")
+CONTACTS = ("auto", "on", "off")
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Config:
     frames      observed frames of each that are fitted, or None: all
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
     grips       whether what hands hold is fitted
+    contact     of a sheet or a rope with itself: "on", "off", or "auto": where a sheet lies on itself in frame 0
     """
 
     pitch: float = 1.0
@@ -40,8 +42,9 @@ class Config:
     frames: int | None = None
     members: int = 8
     grips: bool = True
+    contact: str = "auto"
 
     def __post_init__(self):
-        for name, choices in (("start", STARTS), ("rest", RESTS)):
+        for name, choices in (("start", STARTS), ("rest", RESTS), ("contact", CONTACTS)):
             if getattr(self, name) not in choices:
                 raise ValueError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")
