@@ -1,7 +1,7 @@
 """What contact of a body with itself costs beside its own forces: ``python -m twinbench.benchmark.layer_cost [--cuda]``.
 
-A sheet of 400 nodes (15 mm apart) that lies flat, and folded onto itself; a rope of 40 nodes stretched out, and coiled in four turns; each with
-and without the term ``layer_contact``, in the same substeps. Candidates are pairs that may meet before the next search.
+A sheet of 400 nodes (15 mm apart) that lies flat, and folded onto itself; a rope of 40 nodes stretched out, and coiled in four turns;
+each with and without the term ``layer_contact``, in the same substeps. Candidates are pairs that may meet before the next search.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from ..physics.terms import (
     Bending,
     BendingDamping,
     Dashpot,
-    Gravity,
     LayerContact,
     LinearDrag,
     Membrane,

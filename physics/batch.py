@@ -18,8 +18,8 @@ from .cells import assemble_cells
 from .facets import assemble_facets
 from .hinges import assemble
 from .kernels import build
-from .layer_search import SEARCH, assemble_layers
 from .laws import Laws
+from .layer_search import SEARCH, assemble_layers
 from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .native import WARP
 from .outside import assemble_points

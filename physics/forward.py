@@ -72,7 +72,7 @@ def recalling(kit):
 
 
 def make_forward(kit):
-    """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first being ``w.begin`` after ``frame``."""
+    """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first ``w.begin`` after ``frame``."""
     R, vec, World = kit.R, kit.vec, kit.World
     half, lanes, colliding, links, linked = kit.half, kit.lanes, kit.colliding, kit.links, kit.linked
     pa, ps, pc = kit.vectors["axial"], kit.vectors["strand"], kit.vectors["contact"]

@@ -1,8 +1,7 @@
 """Which layers might meet soon: pairs of a vertex and a triangle, and of two edges, of one system, with a margin for their speed.
 
 Every edge looks through balls around where groups of some ``GROUP`` others are and may get to, and in those that it meets through the
-others' own; so does every vertex through triangles. (To file them in cubes is no faster for sheets of a thousand nodes, since the cubes must
-be as wide as triangles are, plus the margin.) What is left is a candidate where the distance d of the nearest places and the largest
+others' own; so does every vertex through triangles. (Cubes to file them in would have to be as wide as triangles are, plus the margin.) What is left is a candidate where the distance d of the nearest places and the largest
 difference u of the nodes' velocities say so,
 
     d - u T < 2 h,

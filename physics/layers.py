@@ -92,7 +92,7 @@ def make_layers(kit):
         weight = four()
         if w.pair_edges[c] > 0:
             weight = on_edges(x0, x1, x2, x3)
-        else:
+        if w.pair_edges[c] == 0:
             weight = on_face(x0, x1, x2, x3)
         apart = x0 * weight[0] + x1 * weight[1] + x2 * weight[2] + x3 * weight[3]
         w.meeting[kept, c] = 0

@@ -228,6 +228,7 @@ class Adjoint(Carrier):
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         cells = batch.cell_starts[-1]
         self.counts = {"hinge": hinges, "facet": batch.facet_starts[-1], **dict.fromkeys(CELLS, cells)}
+        self.counts["layer"] = batch.node_count
         panels, folds = batch.panel_starts[-1], batch.fold_count
         self.counts |= dict.fromkeys(SHEETS, panels)
         self.counts |= dict.fromkeys(("surface", "touch", "grip", *(["body"] if batch.pointed else [])), len(anchor))
@@ -272,6 +273,7 @@ class Adjoint(Carrier):
         shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
         parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
+        parts["layer"] = by_system(t["layer"], batch.starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
         parts |= {s: by_system(t[s], batch.cell_starts) for s in CELLS}
         parts |= {s: by_system(t[s], batch.panel_starts) for s in SHEETS}

@@ -55,8 +55,8 @@ A sheet is a triangulation (``physics.sheets``); strain is Green's, curvature [1
 rest, rate [1/s, 1/m/s] theirs; all of them and what laws return are symmetric tensors in a triangle's plane, written (11, 22, 12), where
 work is S_11 E_11 + S_22 E_22 + 2 S_12 E_12. Laws are the same in all directions.
 
-Layers of a sheet and strands of a rope, or of several in one system, meet as vertices and triangles, and as edges; apart [m] is the way from
-the second to the first nearest place, rate [m/s] its change, m [kg] what the pair carries. See ``physics.layers``. A layer term declares
+Layers of a sheet and strands of a rope, or of several in one system, meet as vertices and triangles, and as edges; apart [m] is the way
+from the second to the first nearest place, rate [m/s] its change, m [kg] what the pair carries. See ``physics.layers``. A layer term declares
 ``hardness`` as below.
 
 Where a system has material points (``physics.points``), body forces act on them instead of on nodes, and only then are there the stages
@@ -67,8 +67,8 @@ declares ``hardness``, (stiffness / m [1/s^2], damping / m [1/s]) at given param
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, layer, body, surface, touch, grip and observer
-terms, then v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
+Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, layer, body, surface, touch, grip and
+observer terms, then v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
