@@ -230,7 +230,7 @@ def make_forward(kit):
             if wp.static(layered):
                 if w.pair_start[b + 1] > w.pair_start[b]:
                     for c in range(w.pair_start[b] + lane, w.pair_start[b + 1], width):
-                        meet_layers(w, here, wp.min(here, w.meeting.shape[0] - 1), c, p_layer)
+                        meet_layers(w, here, wp.min(here, w.meeting.shape[0] - 1), c, k, dt, p_layer)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
@@ -295,7 +295,7 @@ def make_forward(kit):
                         f += squeezed(w, i)
                     if wp.static(draping):
                         f += draped(w, i)
-                    if wp.static(layered):
+                    if wp.static(layered and not half):
                         f += met_layers(w, wp.min(here, w.meeting.shape[0] - 1), i)
                     if wp.static(pointed):
                         f += met_points(w, i)

@@ -255,6 +255,7 @@ def _structs(R, vec, four, vectors):
         pair_of: wp.array(dtype=wp.int32)  # 4 pair + place in it
         pair_force: wp.array(dtype=vec)  # (C,) N
         pair_weight: wp.array(dtype=four)  # (C,) of its nodes in the way from the second nearest place to the first
+        pair_wake: wp.array(dtype=wp.int32)  # (C,) the first substep of this launch in which it may meet
         meeting: wp.array2d(dtype=wp.int32)  # (slots kept, C) 1: nearer than the thickness
         point_start: wp.array(dtype=wp.int32)  # (B+1,) first material point of each system
         point_node: wp.array2d(dtype=wp.int32)  # (P, K) nodes that carry it

@@ -1,13 +1,13 @@
 """Which layers might meet soon: pairs of a vertex and a triangle, and of two edges, of one system, with a margin for their speed.
 
-Every edge looks through balls around where groups of some ``GROUP`` others are and may get to, and in those that it meets through the
-others' own; so does every vertex through triangles. (Cubes to file them in would have to be as wide as triangles are, plus the margin.) What is left is a candidate where the distance d of the nearest places and the largest
-difference u of the nodes' velocities say so,
+Every edge looks through boxes around where groups of some ``GROUP`` others are and may get to, and in those that it meets through the
+others' own; so does every vertex through triangles. (Cubes to file them in would have to be as wide as triangles are, plus the margin.)
+What is left is a candidate where the distance d of the nearest places and the largest difference u of the nodes' velocities say so,
 
-    d - u T < 2 h,
+    d - u T < h + max(h, a T^2 / 2),
 
-with the thickness h and the time T until the next search, at most ``SEARCH``. What an acceleration adds to u T may be h before a pair that
-meets is missed: with 3 mm, that of 86 m/s^2; then it is found by the next search.
+with the thickness h, the time T until the next search, at most ``SEARCH``, and a = ``ACCELERATION`` of one against the other. A pair that
+meets sooner yet is found by the next search.
 
 Nodes nearer along the body than ``BESIDE`` thicknesses never meet: triangles and edges that share a corner, and parts of a rope between
 which it could not turn back.
@@ -22,14 +22,15 @@ import torch
 import warp as wp
 
 from .hinges import incidence
-from .layers import CARRIED, nearest_places
+from .layers import ACCELERATION, CARRIED, nearest_places
 from .packing import bisect
 from .terms.base import STAGES
 
 __all__ = ["SEARCH", "Pairs", "assemble_layers", "edges_and_faces", "seek_layers", "side_by_side"]
 
 GROUP = 24  # edges or triangles
-SEARCH = 1 / 120  # s, at most, from one search to the next
+KEPT = 16  # partners of an item that are written down while they are counted; of more, all are looked for again
+SEARCH = 1 / 60  # s, at most, from one search to the next
 BESIDE = 1.5  # thicknesses along the body: a strand that turns back within so much would be bent by 171 degrees
 
 
@@ -150,15 +151,19 @@ def _incidence(members, count):
 
 def _world(batch, kernels, x, v, table, horizon):
     """The kernels' struct over the arrays of one search."""
-    vec, four = batch.kernels.vec, batch.kernels.four
+    vec = batch.kernels.vec
     if "world" not in vars(batch.layer_scratch):
         world, known = kernels.World(), batch.layers
         for name in ("layer_item", "layer_first", "layer_group", "layer_system", "kin_row", "kin"):
             setattr(world, name.removeprefix("layer_"), wp.from_torch(known[name]))
         world.column = sum(batch.laws.width(s) for s in STAGES[: STAGES.index("layer")])
         count = max(1, len(known["layer_item"]))
-        world.ball, world.found = wp.empty(count, dtype=four, device=batch._device), wp.zeros(count, dtype=wp.int32, device=batch._device)
-        world.around = wp.empty(max(1, len(known["layer_group"])), dtype=four, device=batch._device)
+        world.low, world.high = (wp.empty(count, dtype=vec, device=batch._device) for _ in range(2))
+        world.found = wp.zeros(count, dtype=wp.int32, device=batch._device)
+        world.reach = wp.empty(count, dtype=batch.kernels.real, device=batch._device)
+        world.first_found = wp.empty((count, KEPT), dtype=wp.int32, device=batch._device)
+        groups = max(1, len(known["layer_group"]))
+        world.lowest, world.highest = (wp.empty(groups, dtype=vec, device=batch._device) for _ in range(2))
         batch.layer_scratch.world, batch.layer_scratch.sizes = world, torch.bincount(batch.system_of)[:, None]
     world = batch.layer_scratch.world
     world.x, world.v = (wp.from_torch(t.detach().contiguous(), dtype=vec) for t in (x, v))
@@ -187,9 +192,19 @@ def _kernels(vec: Any, four: Any, R: Any):
         column: wp.int32  # of the thickness
         horizon: wp.array(dtype=R)  # (B,) s
         still: wp.array(dtype=vec)  # (B,) m/s, any velocity near those of the system
-        ball: wp.array(dtype=four)  # (I,) middle and radius of where an item may get to, with its part of 2 h
-        around: wp.array(dtype=four)  # (Q,) a ball around those of a group
+        low: wp.array(dtype=vec)  # (I,) m, the box that an item may get to, with half of the margin
+        high: wp.array(dtype=vec)
+        lowest: wp.array(dtype=vec)  # (Q,) m, the box around those of a group
+        highest: wp.array(dtype=vec)
+        reach: wp.array(dtype=R)  # (I,) m, how far its nodes may get, but for the motion of the whole
         found: wp.array(dtype=wp.int32)  # (I,) candidates
+        first_found: wp.array2d(dtype=wp.int32)  # (I, KEPT) the first of them
+
+    @wp.func
+    def margin(w: World, b: int):
+        """m, beside the way at constant velocities."""
+        h = w.table[b, w.column]
+        return h + wp.max(h, R(0.5) * R(ACCELERATION) * w.horizon[b] * w.horizon[b])
 
     @wp.kernel(module="unique", enable_backward=False)
     def enclose(w: World):
@@ -198,31 +213,26 @@ def _kernels(vec: Any, four: Any, R: Any):
         a0 = w.x[w.item[i, 0]]
         a1 = w.x[w.item[i, 1]]
         a2 = w.x[w.item[i, 2]]
-        middle = (wp.min(wp.min(a0, a1), a2) + wp.max(wp.max(a0, a1), a2)) * R(0.5)
-        size = wp.max(wp.max(wp.length(a0 - middle), wp.length(a1 - middle)), wp.length(a2 - middle))
         u0 = wp.length(w.v[w.item[i, 0]] - w.still[b])
         u1 = wp.length(w.v[w.item[i, 1]] - w.still[b])
         u2 = wp.length(w.v[w.item[i, 2]] - w.still[b])
         # a little wider, so that rounding leaves no pair out
-        radius = (size + wp.max(wp.max(u0, u1), u2) * w.horizon[b] + w.table[b, w.column]) * R(1.0001)
-        w.ball[i] = four(middle[0], middle[1], middle[2], radius)
+        w.reach[i] = wp.max(wp.max(u0, u1), u2) * w.horizon[b] * R(1.0001)
+        aside = w.reach[i] + R(0.5001) * margin(w, b)
+        around = vec(aside, aside, aside)
+        w.low[i] = wp.min(wp.min(a0, a1), a2) - around
+        w.high[i] = wp.max(wp.max(a0, a1), a2) + around
 
     @wp.kernel(module="unique", enable_backward=False)
     def gather(w: World):
         q = wp.tid()
-        ball = w.ball[w.group[q, 0]]
-        low = vec(ball[0], ball[1], ball[2])
-        high = low
+        low = w.low[w.group[q, 0]]
+        high = w.high[w.group[q, 0]]
         for i in range(w.group[q, 0], w.group[q, 1]):
-            at = vec(w.ball[i][0], w.ball[i][1], w.ball[i][2])
-            low = wp.min(low, at)
-            high = wp.max(high, at)
-        middle = (low + high) * R(0.5)
-        radius = R(0.0)
-        for i in range(w.group[q, 0], w.group[q, 1]):
-            at = vec(w.ball[i][0], w.ball[i][1], w.ball[i][2])
-            radius = wp.max(radius, (wp.length(at - middle) + w.ball[i][3]) * R(1.0001))
-        w.around[q] = four(middle[0], middle[1], middle[2], radius)
+            low = wp.min(low, w.low[i])
+            high = wp.max(high, w.high[i])
+        w.lowest[q] = low
+        w.highest[q] = high
 
     @wp.func
     def beside(w: World, i: int, j: int):
@@ -240,26 +250,29 @@ def _kernels(vec: Any, four: Any, R: Any):
     def soon(w: World, b: int, i: int, j: int, edges: bool):
         """Whether items ``i`` and ``j`` of system ``b`` may meet."""
         a = w.item[i, 0]
+        c = w.item[i, 1]
         e = w.item[j, 0]
         f = w.item[j, 1]
-        fastest = wp.max(speed(w, a, e), speed(w, a, f))
+        g = w.item[j, 2]
         weight = four()
         apart = vec()
         if edges:
-            c = w.item[i, 1]
             if beside(w, a, e) or beside(w, a, f) or beside(w, c, e) or beside(w, c, f):
                 return False
             weight = on_edges(w.x[a], w.x[c], w.x[e], w.x[f])
             apart = w.x[a] * weight[0] + w.x[c] * weight[1] + w.x[e] * weight[2] + w.x[f] * weight[3]
-            fastest = wp.max(fastest, wp.max(speed(w, c, e), speed(w, c, f)))
         else:
-            g = w.item[j, 2]
             if beside(w, a, e) or beside(w, a, f) or beside(w, a, g):
                 return False
             weight = on_face(w.x[a], w.x[e], w.x[f], w.x[g])
             apart = w.x[a] + w.x[e] * weight[1] + w.x[f] * weight[2] + w.x[g] * weight[3]
-            fastest = wp.max(fastest, speed(w, a, g))
-        return wp.length(apart) < fastest * w.horizon[b] + R(2.0) * w.table[b, w.column]
+        left = wp.length(apart) - margin(w, b)
+        if left >= w.reach[i] + w.reach[j]:
+            return left < R(0.0)
+        fastest = wp.max(wp.max(speed(w, a, e), speed(w, a, f)), speed(w, a, g))
+        if edges:
+            fastest = wp.max(fastest, wp.max(speed(w, c, e), speed(w, c, f)))
+        return left < fastest * w.horizon[b]
 
     @wp.func
     def others(w: World, i: int):
@@ -272,24 +285,24 @@ def _kernels(vec: Any, four: Any, R: Any):
         return 0, 0, False
 
     @wp.func
-    def touch(p: four, q: four):
-        x = p[0] - q[0]
-        y = p[1] - q[1]
-        z = p[2] - q[2]
-        reach = p[3] + q[3]
-        return x * x + y * y + z * z < reach * reach
+    def overlap(a: vec, b: vec, c: vec, d: vec):
+        """Whether the boxes from a to b and from c to d have a place in common."""
+        return a[0] < d[0] and c[0] < b[0] and a[1] < d[1] and c[1] < b[1] and a[2] < d[2] and c[2] < b[2]
 
     @wp.kernel(module="unique", enable_backward=False)
     def count(w: World):
         i = wp.tid()
         begin, end, edges = others(w, i)
-        ball = w.ball[i]
+        low = w.low[i]
+        high = w.high[i]
         found = wp.int32(0)
         for q in range(begin, end):
-            if w.group[q, 1] > i and touch(ball, w.around[q]):
+            if w.group[q, 1] > i and overlap(low, high, w.lowest[q], w.highest[q]):
                 for j in range(wp.max(i + 1, w.group[q, 0]), w.group[q, 1]):  # a triangle comes after each vertex
-                    if touch(ball, w.ball[j]):
+                    if overlap(low, high, w.low[j], w.high[j]):
                         if soon(w, w.system[i], i, j, edges):
+                            if found < wp.static(KEPT):
+                                w.first_found[i, found] = j
                             found += 1
         w.found[i] = found
 
@@ -311,13 +324,18 @@ def _kernels(vec: Any, four: Any, R: Any):
     def fill(w: World, row: wp.array(dtype=wp.int32), pair: wp.array2d(dtype=wp.int32), of_edges: wp.array(dtype=wp.int32)):
         i = wp.tid()
         at = wp.int32(row[i])
-        if row[i + 1] > at:
-            begin, end, edges = others(w, i)
-            ball = w.ball[i]
+        many = row[i + 1] - at
+        begin, end, edges = others(w, i)
+        if many <= wp.static(KEPT):
+            for k in range(many):
+                write(w, i, w.first_found[i, k], edges, at + k, pair, of_edges)
+        if many > wp.static(KEPT):
+            low = w.low[i]
+            high = w.high[i]
             for q in range(begin, end):
-                if w.group[q, 1] > i and touch(ball, w.around[q]):
+                if w.group[q, 1] > i and overlap(low, high, w.lowest[q], w.highest[q]):
                     for j in range(wp.max(i + 1, w.group[q, 0]), w.group[q, 1]):
-                        if touch(ball, w.ball[j]):
+                        if overlap(low, high, w.low[j], w.high[j]):
                             if soon(w, w.system[i], i, j, edges):
                                 write(w, i, j, edges, at, pair, of_edges)
                                 at += 1

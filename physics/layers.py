@@ -4,7 +4,8 @@ A pair is four nodes: a vertex and the corners of a triangle, or the ends of two
 four is shortest, w being positive on the first side and negative on the second, each side summing to 1; the force on the first place goes
 to the nodes by the same weights. The weights depend on the positions, and their derivative is in the adjoint.
 
-Which pairs might meet is looked up several times a frame (``physics.layer_search``), so that a substep looks at few.
+Which pairs might meet is looked up every few substeps (``physics.layer_search``); one that was found apart is left alone for as long as it
+stays so at the present speeds of its nodes and at ``ACCELERATION``.
 
 A pair carries 1 / 16 of the least of its nodes' masses. With N = m w^2 (h - d) a node i gets the row sum sum |w_i| sum |w| m w^2 <=
 w^2 m_i / 16 sum 2 |w_i|, and on a mesh of even triangles that another of the same pitch lies on, sum |w_i| is 1 as a vertex, 1 as corners
@@ -15,6 +16,7 @@ import warp as wp
 
 __all__ = ["CARRIED", "make_back_layers", "make_layers", "nearest_places"]
 
+ACCELERATION = 50.0  # m/s^2 of one side against the other, in places that may meet soon: five times that of gravity
 CARRIED = 1 / 16  # of the least of four nodes' masses, see above
 NONE = 1.0e-18  # m^2 or m^4: next to nothing of a squared length, and of a squared area
 PARALLEL = 1.0e-6  # squared sine of an angle between edges below which they count as parallel
@@ -74,13 +76,35 @@ def nearest_places(R, vec, four):
 
 
 def make_layers(kit):
-    """(meet_layers, layered): leave the force of a pair and its weights; what a node gets of the pairs that it is in."""
+    """(meet_layers, layered): leave the force of a pair and its weights; what a node gets of the pairs that it is in.
+
+    A lone thread adds forces to its nodes at once.
+    """
+    half = kit.half
     R, vec, four, World, pl = kit.R, kit.vec, kit.four, kit.World, kit.vectors["layer"]
     get_x, get_v, layer = kit.get_x, kit.get_v, kit.laws.layer
     on_face, on_edges = nearest_places(R, vec, four)
 
     @wp.func
-    def meet_layers(w: World, slot: int, kept: int, c: int, p: pl):
+    def until_then(w: World, i: int, j: int, k: int, o: int, edges: int, gap: R):
+        """s, in which nodes at these places of the state come nearer by ``gap`` [m] at the soonest."""
+        a = get_v(w.state, i)
+        b = get_v(w.state, j)
+        c = get_v(w.state, k)
+        d = get_v(w.state, o)
+        most = wp.max(wp.length_sq(a - c), wp.length_sq(a - d))
+        if edges > 0:
+            most = wp.max(most, wp.max(wp.length_sq(b - c), wp.length_sq(b - d)))
+        if edges == 0:
+            most = wp.max(most, wp.length_sq(a - b))
+        u = wp.sqrt(most)
+        harsh = R(ACCELERATION)
+        return (wp.sqrt(most + (harsh + harsh) * gap) - u) / harsh
+
+    @wp.func
+    def meet_layers(w: World, slot: int, kept: int, c: int, step: int, dt: R, p: pl):
+        if step < w.pair_wake[c]:
+            return
         i = slot * w.nodes + w.pair[c, 0]
         j = slot * w.nodes + w.pair[c, 1]
         k = slot * w.nodes + w.pair[c, 2]
@@ -95,13 +119,22 @@ def make_layers(kit):
         if w.pair_edges[c] == 0:
             weight = on_face(x0, x1, x2, x3)
         apart = x0 * weight[0] + x1 * weight[1] + x2 * weight[2] + x3 * weight[3]
+        gap = wp.length(apart) - p[0]
         w.meeting[kept, c] = 0
-        if wp.length_sq(apart) < p[0] * p[0]:
+        if gap >= R(0.0):
+            w.pair_wake[c] = step + wp.max(1, int(until_then(w, i, j, k, o, w.pair_edges[c], gap) / dt))
+        if gap < R(0.0):
             rate = get_v(w.state, i) * weight[0] + get_v(w.state, j) * weight[1]
             rate += get_v(w.state, k) * weight[2] + get_v(w.state, o) * weight[3]
             w.meeting[kept, c] = 1
-            w.pair_weight[c] = weight
-            w.pair_force[c] = layer(apart, rate, w.pair_load[c], p)
+            force = layer(apart, rate, w.pair_load[c], p)
+            if wp.static(half):
+                for e in range(4):
+                    n = w.pair[c, e]
+                    w.force[n] = w.force[n] + force * weight[e]
+            else:
+                w.pair_weight[c] = weight
+                w.pair_force[c] = force
 
     @wp.func
     def layered(w: World, kept: int, i: int):

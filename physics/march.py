@@ -184,31 +184,36 @@ class World(Carrier):
         if self._batch.remembering:
             self.memories[0] = memory[self._batch.constants["spring"].long()]
         self.cell_memories[:1] = cell_memory
+        self.tensors["pair_wake"].zero_()
         self.set(out=out)
 
     def pair(self, layers: Pairs) -> None:
         """Take ``layers`` as the candidates among them."""
         count, real = len(layers.pair), dict(dtype=self._batch.dtype, device=self._batch.device)
-        meeting = torch.empty((self._kept, count), dtype=torch.int32, device=self._batch.device)
-        self.set(**vars(layers), meeting=meeting, pair_force=torch.empty((count, 3), **real), pair_weight=torch.empty((count, 4), **real))
+        whole = dict(dtype=torch.int32, device=self._batch.device)
+        self.set(**vars(layers), meeting=torch.zeros((self._kept, count), **whole), pair_wake=torch.zeros(count, **whole))
+        self.set(pair_force=torch.empty((count, 3), **real), pair_weight=torch.empty((count, 4), **real))
 
     def end(self, stretch: Stretch):
         """The tensors of ``STATE`` at the end of a stretch."""
-        batch = self._batch
-        slot = batch.kept_ints(stretch.count % self.slots).long()
-        node = torch.arange(batch.node_count, device=batch.device)
-        end = self.states[slot[batch.system_of], node]
+        batch, slots = self._batch, stretch.count % self.slots
+        alike = int(slots[0]) if (slots == slots[0]).all() else None
+        slot = None if alike is not None else batch.kept_ints(slots).long()
+
+        def at(arrays, system, place=None):
+            """Of ``arrays`` (slots, N, ...), those of each one's system at the end; only ``place`` (K,) of them if it is given."""
+            if alike is not None:
+                found = arrays[alike % len(arrays)]
+                return found.clone() if place is None else found[place]
+            place = torch.arange(arrays.shape[1], device=batch.device) if place is None else place
+            return arrays[slot[system] % len(arrays), place]
+
+        end = at(self.states, batch.system_of)
         memory = self.memory.clone()
         if batch.remembering:
-            memory[batch.lower_spring] = self.memories[slot[batch.spring_system[batch.lower_spring]], batch.lower_end]
-        segment = torch.arange(self.ways.shape[1], device=batch.device)
-        ways = self.ways[slot[batch.rope_system] % len(self.ways), segment]
-        cell_memory = torch.zeros_like(batch.inputs.cell_memory)
-        if batch.cells_remembering:
-            cell = torch.arange(len(cell_memory), device=batch.device)
-            cell_memory = self.cell_memories[slot[batch.cell_system], cell]
-        point = torch.arange(self.anchors.shape[1], device=batch.device)
-        anchors = self.anchors[slot[batch.point_system] % len(self.anchors), point]
+            memory[batch.lower_spring] = at(self.memories, batch.spring_system[batch.lower_spring], batch.lower_end)
+        ways, anchors = at(self.ways, batch.rope_system), at(self.anchors, batch.point_system)
+        cell_memory = at(self.cell_memories, batch.cell_system) if batch.cells_remembering else torch.zeros_like(batch.inputs.cell_memory)
         return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors
 
 

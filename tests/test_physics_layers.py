@@ -137,7 +137,7 @@ def named(pair, edges):
 
 
 def test_candidates_are_all_that_are_near():
-    # d - u T < 2 h by numpy, over all pairs; in a batch of three, each has its own
+    # d - u T < 2 h by numpy (a T^2 / 2 is less than h), over all pairs; in a batch of three, each has its own
     systems = [crumpled(seed) for seed in range(3)]
     batch = Batch(systems, fps=60, substeps=10, double=True, workers=1)
     horizon = torch.full((3,), 0.004, dtype=torch.float64)

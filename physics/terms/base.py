@@ -56,8 +56,8 @@ rest, rate [1/s, 1/m/s] theirs; all of them and what laws return are symmetric t
 work is S_11 E_11 + S_22 E_22 + 2 S_12 E_12. Laws are the same in all directions.
 
 Layers of a sheet and strands of a rope, or of several in one system, meet as vertices and triangles, and as edges; apart [m] is the way
-from the second to the first nearest place, rate [m/s] its change, m [kg] what the pair carries. See ``physics.layers``. A layer term declares
-``hardness`` as below.
+from the second to the first nearest place, rate [m/s] its change, m [kg] what the pair carries. See ``physics.layers``. A layer term
+declares ``hardness`` as below.
 
 Where a system has material points (``physics.points``), body forces act on them instead of on nodes, and only then are there the stages
 "surface", "touch" and "grip"; m [kg] is what a point carries of its body, for springs that must hold it. A touch term declares ``evolve``
