@@ -19,7 +19,8 @@ from .facets import assemble_facets
 from .hinges import assemble
 from .kernels import build
 from .laws import Laws
-from .layer_search import SEARCH, assemble_layers
+from .layer_items import assemble_layers
+from .layer_search import SEARCH
 from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .native import WARP
 from .outside import assemble_points
@@ -116,7 +117,8 @@ class Batch:
         self._assemble()
         # (blocks per system, threads per block, lanes per particle); a CPU team is one thread
         self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
-        self.kernels = build(self.laws, double, not cuda, self._team[2], self._team[1], self.pointed)
+        self.alone = not cuda  # a team is one thread
+        self.kernels = build(self.laws, double, self.alone, self._team[2], self._team[1], self.pointed)
         self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
         if self.twisting:
             self.inputs.directors = settled(self, self.inputs)
@@ -369,6 +371,8 @@ class Batch:
             kept += 3 * len(self.inputs.directors)
         if self.easing:
             kept += self.node_count * 3 * (int(self.rounds.max()) + 1)
+        if self.layered:
+            kept += 20 * self.node_count  # candidates, about: a flat sheet has 7 a node, a folded one 25
         if self.touching:
             kept += 3 * len(self.inputs.anchor)
         if self.remembering:

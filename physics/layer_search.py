@@ -1,8 +1,9 @@
 """Which layers might meet soon: pairs of a vertex and a triangle, and of two edges, of one system, with a margin for their speed.
 
-Every edge looks through boxes around where groups of some ``GROUP`` others are and may get to, and in those that it meets through the
-others' own; so does every vertex through triangles. (Cubes to file them in would have to be as wide as triangles are, plus the margin.)
-What is left is a candidate where the distance d of the nearest places and the largest difference u of the nodes' velocities say so,
+Every edge looks through boxes around where groups of others (``physics.layer_items``) are and may get to, and in those that it meets
+through the others' own; so does every vertex through triangles. (Cubes to file them in would have to be as wide as triangles are, plus the
+margin.) What is left is a candidate where the distance d of the nearest places and the largest difference u of the nodes' velocities say
+so,
 
     d - u T < h + max(h, a T^2 / 2),
 
@@ -23,80 +24,22 @@ import warp as wp
 
 from .hinges import incidence
 from .layers import ACCELERATION, CARRIED, nearest_places
-from .packing import bisect
 from .terms.base import STAGES
 
-__all__ = ["SEARCH", "Pairs", "assemble_layers", "edges_and_faces", "seek_layers", "side_by_side"]
+__all__ = ["SEARCH", "Pairs", "seek_layers"]
 
-GROUP = 24  # edges or triangles
 KEPT = 16  # partners of an item that are written down while they are counted; of more, all are looked for again
 SEARCH = 1 / 60  # s, at most, from one search to the next
-BESIDE = 1.5  # thicknesses along the body: a strand that turns back within so much would be bent by 171 degrees
-
-
-def edges_and_faces(system) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(vertices (V,), edges (E, 2), triangles (F, 3)) of a system's sheet and chains, as its nodes; hands that are nodes are none."""
-    count = system.particle_count
-    faces = np.zeros((0, 3), int) if system.sheet is None else system.sheet.triangles
-    sides = [faces[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]
-    grips = np.append(np.arange(count), np.where(system.grips < 0, count, system.grips))
-    walks = [np.stack([grips[c[:-1]], grips[c[1:]]], 1) for c in system.chains]
-    edges = np.sort(np.concatenate([np.zeros((0, 2), int), *sides, *walks]), axis=1)
-    edges = np.unique(edges[edges[:, 1] < count], axis=0)
-    return np.unique(edges), edges, faces
-
-
-def side_by_side(system, edges, reach: float):
-    """Sparse (M, M) matrix with an entry for every two particles, or one twice, that are at most ``reach`` [m] apart along ``edges``."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import dijkstra
-
-    count = system.particle_count
-    length = np.maximum(np.linalg.norm(np.diff(system.positions[edges], axis=1)[:, 0], axis=1), 1e-9)
-    graph = coo_matrix((length, edges.T), (count, count)).tocsr()
-    if not (length <= reach).any():
-        return coo_matrix((np.ones(count), (np.arange(count),) * 2)).tocsr()
-    return coo_matrix(np.isfinite(dijkstra(graph, directed=False, limit=reach))).tocsr()
-
-
-def assemble_layers(systems, starts, wanted: bool) -> dict[str, np.ndarray]:
-    """Constants of the search: every system's edges, then its vertices, then its triangles, neighbours in groups. Nothing where it is not
-    ``wanted``."""
-    items, first, kin_row, kin, groups = [], [], [[0]], [], []
-    begun = known = 0
-    for system, start in zip(systems, starts, strict=False):
-        vertices, edges, faces = edges_and_faces(system) if wanted else (np.zeros((0, n), int) for n in (1, 2, 3))
-        vertices, edges = vertices.reshape(-1, 1), edges.reshape(-1, 2)
-        row = [begun, len(groups)]
-        for own, all_three in ((edges, [0, 1, 1]), (vertices, [0, 0, 0]), (faces, [0, 1, 2])):
-            parts = bisect(system.positions[own].mean(1), np.ones(len(own)), max(1, -(-len(own) // GROUP)))
-            items += [own[part][:, all_three] + start for part in parts]
-            sizes = np.array([len(part) for part in parts if len(part)], int)
-            groups += [(begun + end - size, begun + end) for size, end in zip(sizes, np.cumsum(sizes), strict=True)]
-            begun += len(own)
-            row += [begun, len(groups)]
-        first.append(row)
-        if wanted:
-            thick = next(t for t in system.terms if t.stage == "layer").values
-            near = side_by_side(system, edges, BESIDE * next(iter(thick.values())))
-            alone = int((system.grips < 0).sum())
-            kin_row.append(np.append(near.indptr[1:], np.full(alone, near.nnz)) + known)
-            kin.append(near.indices + start)
-            known += near.nnz
-    joined = np.concatenate([np.zeros((0, 3), int), *items])
-    return dict(
-        layer_item=joined,
-        layer_first=np.array(first),
-        layer_group=np.array(groups, int).reshape(-1, 2),
-        layer_system=np.repeat(np.arange(len(systems)), [f[-2] - f[0] for f in first]),
-        kin_row=np.concatenate(kin_row),
-        kin=np.concatenate([np.zeros(0, int), *kin]),
-    )
 
 
 class Pairs(SimpleNamespace):
     """C candidates: pair (C, 4) nodes, pair_edges (C,) 1: two edges, 0: a vertex and a triangle, pair_load (C,) kg, pair_start (B+1,) the
-    first of each system, pair_row (nodes+1,) and pair_of (4 C,): where each node is in them, as 4 pair + place."""
+    first of each system, pair_row (nodes+1,) and pair_of (4 C,): where each node is in them, as 4 pair + place, once ``placed``."""
+
+    def placed(self, count: int) -> "Pairs":
+        """The same, knowing where each of ``count`` nodes is: a lone thread asks for that only on the way back."""
+        self.pair_row, self.pair_of = _incidence(self.pair, count)
+        return self
 
     @classmethod
     def none(cls, batch):
@@ -118,7 +61,8 @@ class Pairs(SimpleNamespace):
 def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, horizon: torch.Tensor) -> Pairs:
     """The pairs that may meet within ``horizon`` (B,) [s] of (x, v) (nodes, 3) [m, m/s]; ``table`` (B, columns) parameters."""
     kernels, known = _kernels(batch.kernels.vec, batch.kernels.four, batch.kernels.real), batch.layers
-    count = len(known["layer_item"])
+    if not (count := len(known["layer_item"])):
+        return Pairs.none(batch)
     world = _world(batch, kernels, x, v, table, horizon)
     for kernel, size in ((kernels.enclose, count), (kernels.gather, len(known["layer_group"])), (kernels.count, count)):
         wp.launch(kernel, dim=size, inputs=[world], device=batch._device)
@@ -126,7 +70,7 @@ def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, ho
     row = torch.zeros(count + 1, dtype=torch.int32, device=batch.device)
     row[1:] = ends
     found = Pairs.none(batch)
-    if not (total := int(ends[-1]) if count else 0):
+    if not (total := int(ends[-1])):
         return found
     found.pair_start = row[batch.layer_starts]
     found.pair = torch.empty((total, 4), dtype=torch.int32, device=batch.device)
@@ -134,8 +78,7 @@ def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, ho
     outs = [wp.from_torch(t) for t in (row, found.pair, found.pair_edges)]
     wp.launch(kernels.fill, dim=count, inputs=[world, *outs], device=batch._device)
     found.pair_load = CARRIED * batch.layers["layer_mass"][found.pair.long()].amin(1)
-    found.pair_row, found.pair_of = _incidence(found.pair, batch.node_count)
-    return found
+    return found if batch.alone else found.placed(batch.node_count)
 
 
 def _incidence(members, count):

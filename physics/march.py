@@ -353,7 +353,10 @@ class March(torch.autograd.Function):
                 world = World(batch, values, *start, stretch.history, scratch[stretch.frame :])
                 batch.forward(world, ctx.frame, stretch)
             adjoint.set(out=given[stretch.frame :])
-            adjoint.pair(len(world.tensors["pair"]))
+            if batch.layered:
+                places = start[-1].placed(batch.node_count)
+                world.set(pair_row=places.pair_row, pair_of=places.pair_of)
+                adjoint.pair(len(places.pair))
             batch.backward(world, adjoint, ctx.frame, stretch)
         gradients = adjoint.gradients()
         return (None, None, None, *(gradients[f.name] if f.name in wanted else None for f in fields(Inputs)))

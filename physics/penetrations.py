@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from .layer_search import BESIDE, edges_and_faces, side_by_side
+from .layer_items import BESIDE, edges_and_faces, side_by_side
 
 __all__ = ["Penetrations", "nearest_edges", "nearest_face", "penetrations"]
 

@@ -8,7 +8,8 @@ import torch
 from scipy.spatial.transform import Rotation
 from twinbench.benchmark.conformance.gradients import check, leaves, loss, some, stacked
 from twinbench.physics.batch import Batch
-from twinbench.physics.layer_search import edges_and_faces, seek_layers
+from twinbench.physics.layer_items import edges_and_faces
+from twinbench.physics.layer_search import seek_layers
 from twinbench.physics.layers import CARRIED
 from twinbench.physics.penetrations import nearest_edges, nearest_face, penetrations
 from twinbench.physics.sheets import Sheet
