@@ -1,4 +1,4 @@
-"""What contact of a body with itself costs beside its own forces: ``python -m twinbench.benchmark.layer_cost [--cuda]``.
+"""What contact of a body with itself costs beside its own forces: ``python -m twinbench.benchmark.layer_cost [--cuda] [--copies 8]``.
 
 A sheet of 400 nodes (15 mm apart) that lies flat, and folded onto itself; a rope of 40 nodes stretched out, and coiled in four turns;
 each with and without the term ``layer_contact``, in the same substeps. Candidates are pairs that may meet before the next search.
@@ -81,16 +81,18 @@ def bodies() -> dict[str, tuple[System, float]]:
     return {name: (s, THICKNESS) for name, s in cloths.items()} | {name: (s, STRAND) for name, s in ropes.items()}
 
 
-def measured(system: System, thickness: float, device: str = "cpu", repeats: int = 5) -> dict[str, float]:
-    """Microseconds a substep without and with contact and of one search, searches a frame, candidates and substeps a frame."""
+def measured(system: System, thickness: float, device: str = "cpu", *, copies: int = 1, repeats: int = 5) -> dict[str, float]:
+    """Microseconds a substep without and with contact and of one search, searches a frame, candidates and substeps a frame, of each of
+    ``copies`` in one batch."""
     step = stable_step(system)
     substeps = int(np.ceil(2 / (FPS * step)))
     contact = LayerContact({"layer_thickness": thickness, "layer_rate": 1 / step})
     alone, both = (
-        Batch([s], fps=FPS, substeps=substeps, device=device, workers=1) for s in (system, replace(system, terms=[*system.terms, contact]))
+        Batch([s] * copies, fps=FPS, substeps=substeps, device=device, workers=1)
+        for s in (system, replace(system, terms=[*system.terms, contact]))
     )
     clock = time.process_time if device == "cpu" else time.perf_counter
-    horizon = both.seconds(np.array([substeps // both.searches]))
+    horizon = both.seconds(np.full(copies, substeps // both.searches))
     runs = (lambda: alone.rollout(FRAMES), lambda: both.rollout(FRAMES))
     seek = lambda: seek_layers(both, both.inputs.x, both.inputs.v, both.inputs.table, horizon)  # noqa: E731
     met, least = [len(seek().pair)], [np.inf] * 3
@@ -103,13 +105,13 @@ def measured(system: System, thickness: float, device: str = "cpu", repeats: int
             begin = clock()
             call()
             least[k] = min(least[k], clock() - begin)
-    per = 1e6 / ((FRAMES - 1) * substeps)
+    per = 1e6 / ((FRAMES - 1) * substeps * copies)
     return dict(
         alone=per * least[0],
         both=per * least[1],
-        search=1e6 * least[2],
+        search=1e6 * least[2] / copies,
         searches=both.searches,
-        candidates=float(np.mean(met)),
+        candidates=float(np.mean(met)) / copies,
         substeps=substeps,
     )
 
@@ -118,11 +120,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cuda", action="store_true", help="on the GPU, in wall time")
+    parser.add_argument("--copies", type=int, default=1, help="of each body in one batch")
     options = parser.parse_args(arguments)
     print("| body | substeps a frame | own forces, us a substep | candidates | with contact | over own | a search, us | a candidate, us |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for name, (system, thickness) in bodies().items():
-        r = measured(system, thickness, "cuda" if options.cuda else "cpu")
+        r = measured(system, thickness, "cuda" if options.cuda else "cpu", copies=options.copies)
         searching = r["search"] * r["searches"] / r["substeps"]
         each = (r["both"] - r["alone"] - searching) / r["candidates"] if r["candidates"] else float("nan")
         print(
