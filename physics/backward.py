@@ -17,6 +17,7 @@ import warp as wp
 from .cells_back import make_back_cells
 from .finding import lowest
 from .forward import HELD_MASS, node_functions, recalling, sighting
+from .layers import make_back_layers
 from .native import barrier
 from .outside import make_back_outside
 from .paths import give_path, give_speed, speed
@@ -28,7 +29,7 @@ __all__ = ["make_backward"]
 
 
 def make_backward(kit):
-    """The kernel that pulls ``a`` back through the ``w.count`` substeps recorded in ``w``, the first being ``begin`` after ``frame``."""
+    """The kernel that pulls ``a`` back through the ``w.count`` substeps recorded in ``w``, the first being ``w.begin`` after ``frame``."""
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     half, lanes, colliding, links, linked = kit.half, kit.lanes, kit.colliding, kit.links, kit.linked
     pa, ps, remembering, hinged = kit.vectors["axial"], kit.vectors["strand"], kit.remembering, kit.hinged
@@ -39,6 +40,8 @@ def make_backward(kit):
     skinned, filled, easing, branching = kit.skinned, kit.filled, kit.easing, kit.branching
     pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
     back_crease, back_panel, back_fold, redraped = make_back_shells(kit) if draping else (None, None, None, None)
+    layered, load_layer = kit.layered, load["layer"]
+    back_meet_layers, relayered = make_back_layers(kit) if layered else (None, None)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     back_meet, remet = make_back_outside(kit) if pointed else (None, None)
     back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (None, None, None)
@@ -66,12 +69,13 @@ def make_backward(kit):
         a.v[i] = vec()
 
     @kit.kernel
-    def backward(w: World, a: Adjoint, first: int, blocks: int, frame: int, begin: int):
+    def backward(w: World, a: Adjoint, first: int, blocks: int, frame: int):
         group, thread = wp.tid()
         team = group // blocks
         lane = (group % blocks) * wp.block_dim() + thread
         b = first + team
         substeps = w.substeps[b]
+        begin = w.begin[b]
         count = w.count[b]
         dt = w.dt[b]
         lo = w.start[b]
@@ -83,6 +87,7 @@ def make_backward(kit):
         p_facet = load_facet(w.table, b)
         p_solid = load_solid(w.table, b)
         p_viscous = load_viscous(w.table, b)
+        p_layer = load_layer(w.table, b)
         p_body = load_body(w.table, b)
         p_surface = load_surface(w.table, b)
         p_touch = load_touch(w.table, b)
@@ -141,6 +146,12 @@ def make_backward(kit):
                             back_fold(w, a, k, h)
                         round += 1
                         barrier(w.counters, team, blocks, round)
+            if wp.static(layered):
+                if k < count and w.pair_start[b + 1] > w.pair_start[b]:
+                    for c in range(w.pair_start[b] + lane, w.pair_start[b + 1], width):
+                        back_meet_layers(w, a, k, c, p_layer)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
                 if k < count:
                     for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
@@ -217,6 +228,11 @@ def make_backward(kit):
                         px, py = redraped(w, a, i)
                         gx += px
                         gv += py
+                if wp.static(layered):
+                    if k < count:
+                        lx, lv = relayered(w, a, k, i)
+                        gx += lx
+                        gv += lv
                 if wp.static(pointed):
                     if k < count:
                         mx, mv = remet(w, a, i)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -16,6 +19,8 @@ from .facets import assemble_facets
 from .hinges import assemble
 from .kernels import build
 from .laws import Laws
+from .layer_items import assemble_layers
+from .layer_search import SEARCH
 from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .native import WARP
 from .outside import assemble_points
@@ -91,10 +96,12 @@ class Batch:
         if not ((self.dt > 0) & (self.dt < np.inf)).all():
             raise ValueError(f"dt must be > 0 and finite [s], got {dt}")
         self.columns = self.laws.columns
+        self.fps = float(fps)
         self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
         self.remembering = bool(self.laws.stage("strand"))
         self.filled, self.easing = bool(self.laws.stage("solid")), bool(self.laws.stage("viscous"))
         self.touching, self.pointed = bool(self.laws.stage("touch")), _have_points(systems, self.laws)
+        self.layered = bool(self.laws.stage("layer"))
         self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
         if self.easing and self.colliding:
             raise ValueError("a system can have terms of the stage 'viscous' or of the stage 'contact', got both")
@@ -110,7 +117,8 @@ class Batch:
         self._assemble()
         # (blocks per system, threads per block, lanes per particle); a CPU team is one thread
         self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
-        self.kernels = build(self.laws, double, not cuda, self._team[2], self._team[1], self.pointed)
+        self.alone = not cuda  # a team is one thread
+        self.kernels = build(self.laws, double, self.alone, self._team[2], self._team[1], self.pointed)
         self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
         if self.twisting:
             self.inputs.directors = settled(self, self.inputs)
@@ -174,6 +182,7 @@ class Batch:
         solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
         sheets, drape = assemble_sheets(systems, start, count)
         self.panel_starts, self.fold_count = sheets["panel_start"], len(sheets["fold"])
+        self._assemble_layers(mass, systems, start)
         real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
         self.constants |= {k: self._real(v) for k, v in {**real, **solid, **drape}.items()}
         self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells, **sheets, **points}.items()}
@@ -207,6 +216,19 @@ class Batch:
             cell_memory=self._real(np.zeros((self.cell_starts[-1], 8, self.laws.cell_memories))),
             **{k: self._real(v) for k, v in {**hinged, **outside}.items()},
         )
+
+    def _assemble_layers(self, mass, systems, start):
+        """What the search for layers that meet reads (``physics.layer_search``), and how often a frame anything is looked up."""
+        found = assemble_layers(systems, start, self.layered)
+        self.layer_starts = self._ints(np.append(found["layer_first"][:, 0], found["layer_first"][-1, 6])).long()
+        self.layer_scratch = SimpleNamespace()
+        self.layers = {k: self._ints(v) for k, v in found.items()} | {"layer_mass": self._real(mass)}
+        longest = float((self.substeps * self.dt).max())  # s of a frame
+        self.searches = max(1, math.ceil(longest / SEARCH - 1e-6)) if self.layered else int(self.colliding)
+
+    def seconds(self, substeps: np.ndarray) -> torch.Tensor:
+        """(B,) s of so many ``substeps`` (B,)."""
+        return self._real(substeps * self.dt)
 
     def _watch(self, nodes):
         """What observers saw, once for all systems that share the same arrays."""
@@ -317,23 +339,28 @@ class Batch:
     def stretches(self, frames: int, *, history: bool) -> list[Stretch]:
         """The launches that ``frames`` frames take.
 
-        Contact candidates are looked up once a frame, so a launch ends there; one that keeps its history ends where memory does.
+        What may meet is looked up ``searches`` times a frame, so a launch ends there; one that keeps its history ends where memory does.
         """
-        if not history:
-            whole = 1 if self.colliding else max(1, frames)
-            return [Stretch(f, 0, self.substeps * min(whole, frames - f)) for f in range(0, frames, whole)]
-        substeps = int(self.substeps[0])
-        if (self.substeps != substeps).any():
+        if history and (self.substeps != self.substeps[0]).any():
             raise ValueError("gradients need the same number of substeps in every system of the batch")
-        longest = substeps if self.colliding else max(1, frames * substeps)
+        if not frames:
+            return []
+        if not self.searches:
+            whole = Stretch(0, 0 * self.substeps, self.substeps * frames)
+            return self._pieces(whole) if history else [whole]
+        cuts = [self.substeps * k // self.searches for k in range(self.searches + 1)]
+        parts = [Stretch(f, a, b - a, b - a) for f in range(frames) for a, b in pairwise(cuts) if (b > a).any()]
+        return [piece for part in parts for piece in self._pieces(part)] if history else parts
+
+    def _pieces(self, stretch: Stretch) -> list[Stretch]:
+        """A stretch of the same substeps in all systems, cut where memory for its history ends."""
+        first, count, substeps = int(stretch.begin[0]), int(stretch.count[0]), int(self.substeps[0])
         room = max(1, HISTORY_BYTES // self.substep_bytes)
-        longest = -(-longest // -(-longest // room))
-        found, begin = [], 0
-        while begin < frames * substeps:
-            frame_end = (begin // substeps + 1) * substeps if self.colliding else frames * substeps
-            end = min(begin + longest, frame_end)
-            found.append(Stretch(begin // substeps, begin % substeps, np.full(len(self.systems), end - begin)))
-            begin = end
+        length, ones, found = -(-count // -(-count // room)), np.ones(len(self.systems), int), []
+        for begin in range(first, first + count, length):
+            size = min(length, first + count - begin)
+            horizon = stretch.horizon if begin == first else None
+            found.append(Stretch(stretch.frame + begin // substeps, ones * (begin % substeps), ones * size, horizon))
         return found
 
     @property
@@ -344,6 +371,8 @@ class Batch:
             kept += 3 * len(self.inputs.directors)
         if self.easing:
             kept += self.node_count * 3 * (int(self.rounds.max()) + 1)
+        if self.layered:
+            kept += 20 * self.node_count  # candidates, about: a flat sheet has 7 a node, a folded one 25
         if self.touching:
             kept += 3 * len(self.inputs.anchor)
         if self.remembering:
@@ -354,16 +383,16 @@ class Batch:
 
     def forward(self, world: World, frame: int, stretch: Stretch) -> None:
         """Step ``world`` from slot 0 through a stretch that starts after ``frame``."""
-        self._launch(self.kernels.forward, [world], stretch, (frame + stretch.frame, stretch.begin, world.slots))
+        self._launch(self.kernels.forward, [world], stretch, (frame + stretch.frame, world.slots))
 
     def backward(self, world: World, adjoint: Adjoint, frame: int, stretch: Stretch) -> None:
         """Pull ``adjoint`` back through the substeps whose history ``world`` holds."""
-        self._launch(self.kernels.backward, [world, adjoint], stretch, (frame + stretch.frame, stretch.begin))
+        self._launch(self.kernels.backward, [world, adjoint], stretch, (frame + stretch.frame,))
 
     def _launch(self, kernel, carriers, stretch, tail):
         blocks, threads, _ = self._team
         carriers[0].tensors["counters"].zero_()
-        carriers[0].set(count=self.kept_ints(stretch.count))
+        carriers[0].set(count=self.kept_ints(stretch.count), begin=self.kept_ints(stretch.begin))
 
         def go(first, last):
             head = [c.struct for c in carriers] + [int(first), blocks]

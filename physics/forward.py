@@ -4,6 +4,7 @@ import warp as wp
 
 from .cells import make_cells
 from .finding import lowest
+from .layers import make_layers
 from .native import barrier
 from .outside import make_outside
 from .paths import along, speed
@@ -71,7 +72,7 @@ def recalling(kit):
 
 
 def make_forward(kit):
-    """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first being ``begin`` after ``frame``."""
+    """The kernel that steps teams ``first``, ``first`` + 1, ... through ``w.count`` substeps, the first ``w.begin`` after ``frame``."""
     R, vec, World = kit.R, kit.vec, kit.World
     half, lanes, colliding, links, linked = kit.half, kit.lanes, kit.colliding, kit.links, kit.linked
     pa, ps, pc = kit.vectors["axial"], kit.vectors["strand"], kit.vectors["contact"]
@@ -85,6 +86,8 @@ def make_forward(kit):
     hinged, skinned, filled, easing = kit.hinged, kit.skinned, kit.filled, kit.easing
     pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
     crease, panel, draped = make_shells(kit) if draping else (None, None, None)
+    layered, load_layer = kit.layered, load["layer"]
+    meet_layers, met_layers = make_layers(kit) if layered else (None, None)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     meet, met_points = make_outside(kit) if pointed else (None, None)
     strain, drag, squeezed = make_cells(kit) if filled or easing else (None, None, None)
@@ -146,12 +149,13 @@ def make_forward(kit):
         return four(total[0], total[1], total[2], R(count))
 
     @kit.kernel
-    def forward(w: World, first: int, blocks: int, frame: int, begin: int, slots: int):
+    def forward(w: World, first: int, blocks: int, frame: int, slots: int):
         group, thread = wp.tid()
         team = group // blocks
         lane = (group % blocks) * wp.block_dim() + thread
         b = first + team
         substeps = w.substeps[b]
+        begin = w.begin[b]
         dt = w.dt[b]
         lo = w.start[b]
         hi = w.start[b + 1]
@@ -162,6 +166,7 @@ def make_forward(kit):
         p_facet = load_facet(w.table, b)
         p_solid = load_solid(w.table, b)
         p_viscous = load_viscous(w.table, b)
+        p_layer = load_layer(w.table, b)
         p_body = load_body(w.table, b)
         p_surface = load_surface(w.table, b)
         p_touch = load_touch(w.table, b)
@@ -220,6 +225,12 @@ def make_forward(kit):
                         barrier(w.counters, team, blocks, round)
                     for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
                         panel(w, here, b, q)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            if wp.static(layered):
+                if w.pair_start[b + 1] > w.pair_start[b]:
+                    for c in range(w.pair_start[b] + lane, w.pair_start[b + 1], width):
+                        meet_layers(w, here, wp.min(here, w.meeting.shape[0] - 1), c, k, dt, p_layer)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
@@ -284,6 +295,8 @@ def make_forward(kit):
                         f += squeezed(w, i)
                     if wp.static(draping):
                         f += draped(w, i)
+                    if wp.static(layered and not half):
+                        f += met_layers(w, wp.min(here, w.meeting.shape[0] - 1), i)
                     if wp.static(pointed):
                         f += met_points(w, i)
                     else:

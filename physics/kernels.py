@@ -42,6 +42,7 @@ class Kernels:
     Adjoint: Any
     real: Any
     vec: Any
+    four: Any
     vectors: dict[str, Any]
 
 
@@ -62,7 +63,7 @@ def build(laws: Laws, double: bool, half: bool, lanes: int, threads: int, pointe
     # approximate division and square root (2 units in the last place) are a GPU's fast path; float64 is for checking and stays exact
     launch = (threads, 1) if threads > 1 else None
     kit.kernel = wp.kernel(module="unique", enable_backward=False, launch_bounds=launch, module_options={"fast_math": not double})
-    return Kernels(make_forward(kit), make_backward(kit), kit.World, kit.Adjoint, kit.R, kit.vec, kit.vectors)
+    return Kernels(make_forward(kit), make_backward(kit), kit.World, kit.Adjoint, kit.R, kit.vec, kit.four, kit.vectors)
 
 
 def _init():
@@ -90,10 +91,10 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     vectors["cell_memory"] = wp.types.vector(laws.cell_memories, R)
     mat = wp.types.matrix((3, 3), R)
     pair = wp.types.vector(2, R)
-    vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"])
+    vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"], pair_weight=four, pair_law=vectors["layer"])
     one = wp.types.vector(1, R)
     get_x, get_v, put = state_access(R, vec)
-    World, Adjoint = _structs(R, vec, vectors)
+    World, Adjoint = _structs(R, vec, four, vectors)
     return SimpleNamespace(
         R=R,
         vec=vec,
@@ -112,6 +113,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         easing=bool(laws.stage("viscous")),
         draping=bool(laws.stage("membrane") or laws.stage("plate")),
         creasing=bool(laws.stage("plate")),
+        layered=bool(laws.stage("layer")),
         touching=bool(laws.stage("touch")),
         growing=bool(laws.stage("growth")),
         flowing=bool(laws.stage("flow")),
@@ -152,15 +154,16 @@ def _loader(R, vector, width, first):
     return load
 
 
-def _structs(R, vec, vectors):
+def _structs(R, vec, four, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
-    pq, pk, pair = vectors["memory"], vectors["cell_memory"], vectors["natural"]
+    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, pj, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pq, pk, two = vectors["memory"], vectors["cell_memory"], vectors["natural"]
 
     @wp.struct
     class World:
         start: wp.array(dtype=wp.int32)  # (B+1,) first node of each system
         substeps: wp.array(dtype=wp.int32)  # (B,) per frame
+        begin: wp.array(dtype=wp.int32)  # (B,) substeps after the frame in which this launch begins
         count: wp.array(dtype=wp.int32)  # (B,) substeps to take in this launch
         dt: wp.array(dtype=R)  # (B,) s
         row: wp.array(dtype=wp.int32)  # (nodes+1,) first incident spring end of each node
@@ -192,7 +195,7 @@ def _structs(R, vec, vectors):
         sides: wp.array2d(dtype=wp.int32)  # (H, 2) segments with directors that it joins, or -1
         hinge_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
         hinge_of: wp.array(dtype=wp.int32)  # 3 hinge + place in it
-        natural: wp.array(dtype=pair)  # (H,) curvature
+        natural: wp.array(dtype=two)  # (H,) curvature
         span: wp.array(dtype=R)  # (H,) m
         flexure: wp.array(dtype=R)  # (H,)
         moment: wp.array2d(dtype=vec)  # (H, 2) N, forces on the nodes before and after
@@ -244,6 +247,16 @@ def _structs(R, vec, vectors):
         slope: wp.array2d(dtype=vec)  # (H, 4) 1/m, the angle's gradients
         panel_force: wp.array2d(dtype=vec)  # (F, 3) N, on its corners
         panel_moment: wp.array2d(dtype=R)  # (F, 3) N m, about its sides
+        pair_start: wp.array(dtype=wp.int32)  # (B+1,) first candidate of each system's layers
+        pair: wp.array2d(dtype=wp.int32)  # (C, 4) nodes: a vertex and a triangle's corners, or the ends of two edges
+        pair_edges: wp.array(dtype=wp.int32)  # (C,) 1: two edges
+        pair_load: wp.array(dtype=R)  # (C,) kg that it carries
+        pair_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
+        pair_of: wp.array(dtype=wp.int32)  # 4 pair + place in it
+        pair_force: wp.array(dtype=vec)  # (C,) N
+        pair_weight: wp.array(dtype=four)  # (C,) of its nodes in the way from the second nearest place to the first
+        pair_wake: wp.array(dtype=wp.int32)  # (C,) the first substep of this launch in which it may meet
+        meeting: wp.array2d(dtype=wp.int32)  # (slots kept, C) 1: nearer than the thickness
         point_start: wp.array(dtype=wp.int32)  # (B+1,) first material point of each system
         point_node: wp.array2d(dtype=wp.int32)  # (P, K) nodes that carry it
         point_weight: wp.array2d(dtype=R)  # (P, K)
@@ -274,12 +287,12 @@ def _structs(R, vec, vectors):
         stiffness: wp.array(dtype=R)
         mass: wp.array(dtype=R)
         path: wp.array2d(dtype=vec)
-        natural: wp.array(dtype=pair)  # (H,)
+        natural: wp.array(dtype=two)  # (H,)
         flexure: wp.array(dtype=R)
         directors: wp.array(dtype=vec)  # (S,) in: at the stretch's end, out: at its start
         bent: wp.array2d(dtype=vec)  # (H, 8) of a substep's hinge forces: its nodes' x, their v, its two directors
         turned: wp.array3d(dtype=vec)  # (2, S, 11) of an even and an odd substep's roll: three directors, four nodes' x before and after
-        rolled_natural: wp.array(dtype=pair)  # (2 S,) by the roll: of the hinge before and the hinge after
+        rolled_natural: wp.array(dtype=two)  # (2 S,) by the roll: of the hinge before and the hinge after
         rolled_flexure: wp.array(dtype=R)
         hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient by forces
         twist: wp.array(dtype=ph)  # (S,) and by rolls
@@ -301,6 +314,9 @@ def _structs(R, vec, vectors):
         folded: wp.array2d(dtype=vec)  # (H, 8) of a fold's forces: its nodes' x, their v
         membrane: wp.array(dtype=pn)  # (F,) shares of the parameters' gradient
         plate: wp.array(dtype=py)
+        paired: wp.array2d(dtype=vec)  # (C, 8) of a pair's forces: its nodes' x, their v
+        pair_law: wp.array(dtype=pj)  # (C,) and parameters
+        layer: wp.array(dtype=pj)  # (nodes,) shares of the parameters' gradient
         load: wp.array(dtype=R)  # (P,)
         held: wp.array(dtype=R)
         anchor: wp.array(dtype=vec)  # (P,) in: at the stretch's end, out: at its start

@@ -68,6 +68,7 @@ class Laws:
             **fuse_material(self),
             membrane=summed(self, "membrane"),
             plate=summed(self, "plate"),
+            layer=_layer(self),
             body=summed(self, "body"),
             surface=summed(self, "surface"),
             touch=_touch(self)[0],
@@ -188,3 +189,9 @@ def _contact(laws):
         return law(xi, xj, vi, vj, mi, mj, p, 0)
 
     return contact
+
+
+def _layer(laws):
+    if len(found := laws.stage("layer")) > 1:
+        raise ValueError(f"a system can have one term of layers that meet, got {', '.join(t.name for t, _ in found)}")
+    return summed(laws, "layer")

@@ -12,6 +12,7 @@ import warp as wp
 from torch.autograd.function import once_differentiable
 
 from .contacts import seek
+from .layer_search import Pairs, seek_layers
 from .terms.base import CELLS, SHEETS, STAGED
 
 __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
@@ -66,11 +67,15 @@ STATE = ("x", "v", *(f.name for f in fields(Carried)))
 
 @dataclass(frozen=True)
 class Stretch:
-    """The substeps of one launch: from substep ``begin`` of ``frame`` on, ``count`` (B,) of them in each system."""
+    """The substeps of one launch: from substeps ``begin`` (B,) of ``frame`` on, ``count`` (B,) of them in each system.
+
+    horizon  (B,) substeps for which what may meet is looked up when it starts; None: the launch before knows
+    """
 
     frame: int
-    begin: int
+    begin: np.ndarray
     count: np.ndarray
+    horizon: np.ndarray | None = None
 
     @property
     def history(self) -> int:
@@ -96,6 +101,7 @@ class Carrier:
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
         vectors |= {"directors", "bent", "turned", "face", "faced", "points", "per", "squeeze", "eased", "cells", "cell_home", "cell_at"}
         vectors |= {"point_home", "anchor", "push", "met_points", "curving", "slope", "panel_force", "paneled", "folded"}
+        vectors |= {"pair_force", "paired"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
         dtype = wp.int32 if tensor.dtype == torch.int32 else kind
         if tensor.numel():
@@ -109,9 +115,12 @@ def _nothing(dimensions, dtype, device):
 
 
 class World(Carrier):
-    """The state of a batch in ``slots`` slots, starting at the tensors of ``STATE``, with ``near`` the contact candidates."""
+    """The state of a batch in ``slots`` slots, starting at the tensors of ``STATE``, with ``near`` the contact candidates.
 
-    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, near, slots, out):
+    ``layers`` are ``Pairs``, or None.
+    """
+
+    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, near, layers, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -136,6 +145,7 @@ class World(Carrier):
         rounds = batch.constants["ease"].shape[1]
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
         near_row, near = near or (counters, counters)
+        self._kept = kept
         if batch.arrays is None:  # wrapping takes as long as a small launch, and these never change
             batch.arrays = {name: self.array(batch.kernels, name, tensor) for name, tensor in batch.constants.items()}
         super().__init__(
@@ -165,24 +175,45 @@ class World(Carrier):
             ),
         )
         self.struct.nodes = n
+        self.pair(layers or Pairs.none(batch))
+
+    def go_on(self, x, v, memory, directors, cell_memory, anchor, out) -> None:
+        """Start again, in slot 0, at the tensors of ``STATE``."""
+        self.states[0, :, 0:3], self.states[0, :, 4:7] = x, v
+        self.ways[0], self.anchors[0], self.memory = directors, anchor, memory
+        if self._batch.remembering:
+            self.memories[0] = memory[self._batch.constants["spring"].long()]
+        self.cell_memories[:1] = cell_memory
+        self.tensors["pair_wake"].zero_()
+        self.set(out=out)
+
+    def pair(self, layers: Pairs) -> None:
+        """Take ``layers`` as the candidates among them."""
+        count, real = len(layers.pair), dict(dtype=self._batch.dtype, device=self._batch.device)
+        whole = dict(dtype=torch.int32, device=self._batch.device)
+        self.set(**vars(layers), meeting=torch.zeros((self._kept, count), **whole), pair_wake=torch.zeros(count, **whole))
+        self.set(pair_force=torch.empty((count, 3), **real), pair_weight=torch.empty((count, 4), **real))
 
     def end(self, stretch: Stretch):
         """The tensors of ``STATE`` at the end of a stretch."""
-        batch = self._batch
-        slot = batch.kept_ints(stretch.count % self.slots).long()
-        node = torch.arange(batch.node_count, device=batch.device)
-        end = self.states[slot[batch.system_of], node]
+        batch, slots = self._batch, stretch.count % self.slots
+        alike = int(slots[0]) if (slots == slots[0]).all() else None
+        slot = None if alike is not None else batch.kept_ints(slots).long()
+
+        def at(arrays, system, place=None):
+            """Of ``arrays`` (slots, N, ...), those of each one's system at the end; only ``place`` (K,) of them if it is given."""
+            if alike is not None:
+                found = arrays[alike % len(arrays)]
+                return found.clone() if place is None else found[place]
+            place = torch.arange(arrays.shape[1], device=batch.device) if place is None else place
+            return arrays[slot[system] % len(arrays), place]
+
+        end = at(self.states, batch.system_of)
         memory = self.memory.clone()
         if batch.remembering:
-            memory[batch.lower_spring] = self.memories[slot[batch.spring_system[batch.lower_spring]], batch.lower_end]
-        segment = torch.arange(self.ways.shape[1], device=batch.device)
-        ways = self.ways[slot[batch.rope_system] % len(self.ways), segment]
-        cell_memory = torch.zeros_like(batch.inputs.cell_memory)
-        if batch.cells_remembering:
-            cell = torch.arange(len(cell_memory), device=batch.device)
-            cell_memory = self.cell_memories[slot[batch.cell_system], cell]
-        point = torch.arange(self.anchors.shape[1], device=batch.device)
-        anchors = self.anchors[slot[batch.point_system] % len(self.anchors), point]
+            memory[batch.lower_spring] = at(self.memories, batch.spring_system[batch.lower_spring], batch.lower_end)
+        ways, anchors = at(self.ways, batch.rope_system), at(self.anchors, batch.point_system)
+        cell_memory = at(self.cell_memories, batch.cell_system) if batch.cells_remembering else torch.zeros_like(batch.inputs.cell_memory)
         return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors
 
 
@@ -202,6 +233,7 @@ class Adjoint(Carrier):
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         cells = batch.cell_starts[-1]
         self.counts = {"hinge": hinges, "facet": batch.facet_starts[-1], **dict.fromkeys(CELLS, cells)}
+        self.counts["layer"] = batch.node_count
         panels, folds = batch.panel_starts[-1], batch.fold_count
         self.counts |= dict.fromkeys(SHEETS, panels)
         self.counts |= dict.fromkeys(("surface", "touch", "grip", *(["body"] if batch.pointed else [])), len(anchor))
@@ -230,6 +262,11 @@ class Adjoint(Carrier):
         for name in ("rest", "mass", "table"):
             setattr(self.struct, f"wants_{name}", int(name in wanted))
 
+    def pair(self, count: int) -> None:
+        """Make room for the adjoints of ``count`` pairs of layers."""
+        real = dict(dtype=self.batch.dtype, device=self.batch.device)
+        self.set(paired=torch.empty((count, 8, 3), **real), pair_law=torch.empty((count, self.batch.laws.width("layer")), **real))
+
     def gradients(self):
         """By input: the state's at the start, and everything else's summed over the whole way."""
         t, batch = self.tensors, self.batch
@@ -241,6 +278,7 @@ class Adjoint(Carrier):
         shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
         parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
+        parts["layer"] = by_system(t["layer"], batch.starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
         parts |= {s: by_system(t[s], batch.cell_starts) for s in CELLS}
         parts |= {s: by_system(t[s], batch.panel_starts) for s in SHEETS}
@@ -274,15 +312,23 @@ class March(torch.autograd.Function):
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
         stretches = batch.stretches(frames, history=back)
-        ctx.starts, ctx.world, near = [], None, None
+        ctx.starts, ctx.world, world, near, layers = [], None, None, None, None
         keep = back and len(stretches) == 1
         for stretch in stretches:
-            sought = seek(batch, state[0], values["table"]) if batch.colliding and stretch.begin == 0 else None
-            world = World(batch, values, *state, near, stretch.history if keep else 2, out[stretch.frame :])  # meanwhile
+            fresh = stretch.horizon is not None
+            sought = seek(batch, state[0], values["table"]) if batch.colliding and fresh else None
+            if world is None or keep:
+                world = World(batch, values, *state, near, layers, stretch.history if keep else 2, out[stretch.frame :])  # meanwhile
+            else:
+                world.go_on(*state, out[stretch.frame :])
             if sought:
                 near = sought()
                 world.set(near_row=near[0], near=near[1])
-            ctx.starts.append((*state, near))
+            if batch.layered and fresh:
+                layers = seek_layers(batch, *state[:2], values["table"], batch.seconds(stretch.horizon))
+                if len(layers.pair) or len(world.tensors["pair"]):
+                    world.pair(layers)
+            ctx.starts.append((*state, near, layers))
             batch.forward(world, frame, stretch)
             state = world.end(stretch)
             if keep:
@@ -307,6 +353,10 @@ class March(torch.autograd.Function):
                 world = World(batch, values, *start, stretch.history, scratch[stretch.frame :])
                 batch.forward(world, ctx.frame, stretch)
             adjoint.set(out=given[stretch.frame :])
+            if batch.layered:
+                places = start[-1].placed(batch.node_count)
+                world.set(pair_row=places.pair_row, pair_of=places.pair_of)
+                adjoint.pair(len(places.pair))
             batch.backward(world, adjoint, ctx.frame, stretch)
         gradients = adjoint.gradients()
         return (None, None, None, *(gradients[f.name] if f.name in wanted else None for f in fields(Inputs)))
@@ -328,11 +378,12 @@ def settled(batch, inputs: Inputs) -> torch.Tensor:
     x, directors = values["x"], values["directors"]
     values["path"] = values["path"][:1].contiguous()
     nobody = torch.zeros(batch.node_count + 1, dtype=torch.int32, device=batch.device)
-    stretch, one = Stretch(0, 0, np.full(len(batch.systems), ROUND)), torch.ones(len(batch.systems), dtype=x.dtype, device=x.device)
+    nothing = np.zeros(len(batch.systems), int)
+    stretch, one = Stretch(0, nothing, nothing + ROUND), torch.ones(len(batch.systems), dtype=x.dtype, device=x.device)
     moving = one > 0
     for _ in range(ROUNDS):
         now = {**state, "directors": directors}
-        world = World(batch, values, **now, near=(nobody, nobody), slots=2, out=torch.empty_like(x[None]))
+        world = World(batch, values, **now, near=(nobody, nobody), layers=None, slots=2, out=torch.empty_like(x[None]))
         world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
         batch.forward(world, 0, stretch)
         relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[3], directors)

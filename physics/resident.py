@@ -288,7 +288,7 @@ class _March(torch.autograd.Function):
         for stretch in ctx.stretches:
             ctx.starts.append((x, v))
             count = int(stretch.count[0])
-            rest = dict(frame=frame + stretch.frame, begin=stretch.begin, count=count, record=keep)
+            rest = dict(frame=frame + stretch.frame, begin=int(stretch.begin[0]), count=count, record=keep)
             x, v, ctx.past = engine.forward(values, x, v, out[stretch.frame :], **rest)
         ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
         ctx.engine, ctx.batch, ctx.frame = engine, engine.batch, frame
@@ -306,7 +306,7 @@ class _March(torch.autograd.Function):
         pulled = len(engine.driven) > 0 and (wanted["path"] or wanted["table"])
         for stretch, (x, v) in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             count, past, ctx.past = int(stretch.count[0]), ctx.past, None  # as in ``march``: outputs that are still held keep this context
-            where = dict(frame=ctx.frame + stretch.frame, begin=stretch.begin, count=count)
+            where = dict(frame=ctx.frame + stretch.frame, begin=int(stretch.begin[0]), count=count)
             if past is None:
                 scratch = torch.empty_like(g_out[stretch.frame :])
                 past = engine.forward(values, x, v, scratch, **where, record=True)[2]

@@ -48,6 +48,7 @@ __all__ = [
     "of_every_parameter",
     "solid",
     "some",
+    "stacked",
 ]
 
 PARTICLES, FRAMES, SUBSTEPS = 40, 4, 25  # 100 substeps
@@ -84,6 +85,8 @@ VALUES = dict(
     plate_poisson=0.2,
     plate_viscous_poisson=0.1,
     grip_rate=300.0,
+    layer_thickness=0.008,
+    layer_friction=0.4,
 )
 POINTS = ("surface", "touch", "grip")  # stages at points of the material
 READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
@@ -94,6 +97,8 @@ def of_every_parameter(term) -> None:
     """Raises AssertionError unless the gradient of a roll-out in each parameter of ``term`` is what differences say."""
     if term.stage in (*CELLS, *POINTS):
         batch = Batch([solid(term, seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
+    elif term.stage == "layer":
+        batch = Batch([stacked(term, seed=seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
     elif term.stage in SHEETS:
         batch = Batch([draped(term, seed=seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
     else:
@@ -176,6 +181,36 @@ def draped(*kinds, seed=0):
             k({p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES})
             for k in dict.fromkeys((Gravity, Membrane, PlateBending, *kinds))
         ],
+    )
+
+
+def stacked(term, seed=0):
+    """Two wavy sheets that fall onto each other, and a rope across them that falls on both, with ``term`` between them."""
+    rng, one = np.random.default_rng(seed), draped(seed=seed)
+    first = one.positions
+    turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    second = (first - first.mean(0)) @ turn.T + first.mean(0) + [0.003, 0.002, 0.011]
+    rope = first.mean(0) + np.linspace(-0.06, 0.06, 8)[:, None] * [0.6, 0.8, 0.0] + [0.0, 0.0, 0.024] + rng.normal(size=(8, 3)) * 1e-3
+    points, count = np.concatenate([first, second, rope]), 2 * len(first)
+    sheet = Sheet.of(points, np.concatenate([one.sheet.triangles, one.sheet.triangles + len(first)]))
+    chain = np.arange(count, len(points))
+    speeds = rng.normal(size=points.shape) * 0.05
+    speeds[len(first) :] += [0.1, 0.05, -0.4]
+    given = {p.name: VALUES.get(p.name, p.value) for p in term.parameters}
+    masses = sheet.masses(0.3, len(points))
+    masses[chain] = 0.001
+    terms = [k({p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES}) for k in (Gravity, Membrane, PlateBending, Springs)]
+    return System(
+        positions=points,
+        velocities=speeds,
+        masses=masses,
+        springs=np.stack([chain[:-1], chain[1:]], 1),
+        stiffness=np.full(len(chain) - 1, 5.0),
+        controllers=one.controllers,
+        grips=one.grips,
+        sheet=sheet,
+        chains=[chain],
+        terms=[*terms, term(given)],
     )
 
 

@@ -129,6 +129,8 @@ def random_inputs(stage, rng):
         return [known[name] for name in ARGUMENTS[stage]]
     if stage in SHEETS:  # strains, or curvatures that are as sharp as a hand, with their rates
         return [0.2 * x[0] if stage == "membrane" else 30.0 * x[0], 10 * v[0]]
+    if stage == "layer":  # within the thickness and beyond
+        return [0.03 * x[0], v[0], positive[0]]
     if stage == "facet":
         return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
     if stage == "touch":

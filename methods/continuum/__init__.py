@@ -48,7 +48,8 @@ class Continuum(Method):
         if config.rest == "equilibrium":
             scene = Simulator(scene, extra, device).unloaded(observed[0], values)
         scene = replace(scene, notes=(*scene.notes, *_said(found)))
-        return ContinuumTwin(scene, values, extra, posterior_of(found), device)
+        twin = ContinuumTwin(scene, values, extra, posterior_of(found), device)
+        return replace(twin, scene=replace(scene, notes=(*scene.notes, *_met(twin, observed[0].observed_frames))))
 
     def skip(self, scenario) -> str | None:
         from .bodies import bodies_of
@@ -71,6 +72,17 @@ def _said(found) -> list[str]:
     """What a table should know of a fit."""
     bounds = found.fit.at_bounds
     return [*found.notes, *([f"at a bound: {', '.join(bounds)}"] if bounds else [])]
+
+
+def _met(twin, frames) -> list[str]:
+    """What layers or strands of the body did to each other in ``frames`` frames, where they meet or went into each other."""
+    scene = twin.scene
+    if not scene.body.thickness:
+        return []
+    found = twin.simulator.penetrations(twin.values, frames)
+    if scene.contact:
+        return [f"contact with itself: {found}"]
+    return [f"contact with itself is off: {found}"] if found.count or found.pierced else []
 
 
 METHODS = (Continuum,)

@@ -34,6 +34,8 @@ class Body(ABC):
     elements: ClassVar[str] = "own"
     dimensions: int = 3  # of what a hand takes hold of: a ball of it, a disk or a length
     standoff: float = 0.0  # m, from its surface points to where it touches the ground
+    thickness: float = 0.0  # m, the distance of the middles of layers or strands that touch; 0: it cannot meet itself
+    is_folded: bool = False  # whether it lies on itself in frame 0, as far as its kind can tell
     recordings: int = 3  # that are fitted jointly, at most, unless a config says
     seconds: float = np.inf  # of each
     structure: np.ndarray

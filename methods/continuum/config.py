@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DENSITY", "ELEMENTS", "RESTS", "STARTS", "Config"]
+__all__ = ["CONTACTS", "DENSITY", "ELEMENTS", "RESTS", "STARTS", "Config"]
 
 DENSITY = 100.0  # kg/m^3 of every body: without a told mass only ratios to it show in a motion
 RESTS = ("as it lies", "equilibrium")
 STARTS = ("auto", "rest", "frames")
 ELEMENTS = ("own", "springs")
+CONTACTS = ("auto", "on", "off")
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,7 @@ class Config:
     elements    of a solid: cells of its "own", or "springs" on their nodes, as twins have them that are nets of particles
     members     sound twins whose spread says how well each part of a motion can be predicted; 0: all count alike
     grips       whether what hands hold is fitted
+    contact     of a sheet or a rope with itself: "on", "off", or "auto": where a sheet lies on itself in frame 0
     """
 
     pitch: float = 1.0
@@ -43,8 +45,9 @@ class Config:
     elements: str = "own"
     members: int = 8
     grips: bool = True
+    contact: str = "auto"
 
     def __post_init__(self):
-        for name, choices in (("start", STARTS), ("rest", RESTS), ("elements", ELEMENTS)):
+        for name, choices in (("start", STARTS), ("rest", RESTS), ("elements", ELEMENTS), ("contact", CONTACTS)):
             if getattr(self, name) not in choices:
                 raise ValueError(f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}")

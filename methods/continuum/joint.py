@@ -30,7 +30,7 @@ def scenes_of(observed: Sequence[Observed], config: Config, *, seed: int = 0) ->
     for one, body in zip(used, bodies, strict=True):
         cut, begins = _window(one, seconds, random)
         windows.append(cut)
-        scenes.append(placed(cut, body, config) if not begins else _under_way(cut, body))
+        scenes.append(placed(cut, body, config) if not begins else _under_way(cut, body, config))
     return windows, scenes, bodies[0]
 
 
@@ -38,15 +38,25 @@ def placed(recording: Observed, body: Body, config: Config, seen: Observed | Non
     """The scene of a recording from its frame 0 on, which starts as ``config`` says, by the first frames of what was ``seen`` of it."""
     seen = recording if seen is None else seen
     found = starts_at_rest(seen) if config.start == "auto" else None
+    contact = meets_itself(body, config)
     if config.start == "rest" or (found and found.rest):
-        return Scene.of(recording, body)
+        return Scene.of(recording, body, contact=contact)
     why = f": {found.words}" if found else ""
-    return Scene.of(recording, body, speeds=body.speeds(seen), notes=(f"its start velocity is told by its first frames{why}",))
+    return Scene.of(
+        recording, body, speeds=body.speeds(seen), contact=contact, notes=(f"its start velocity is told by its first frames{why}",)
+    )
 
 
-def _under_way(cut: Observed, body: Body) -> Scene:
+def meets_itself(body: Body, config: Config) -> bool:
+    """Whether layers or strands of a body meet; raises ValueError where that is asked for and its kind cannot."""
+    if config.contact == "on" and not body.thickness:
+        raise ValueError(f"contact of a body with itself is for sheets and ropes, got a {body.kind}")
+    return config.contact == "on" or (config.contact == "auto" and body.is_folded)
+
+
+def _under_way(cut: Observed, body: Body, config: Config) -> Scene:
     there = body.laid(cut)
-    return Scene.of(cut, there, speeds=there.speeds(cut))
+    return Scene.of(cut, there, speeds=there.speeds(cut), contact=meets_itself(body, config))
 
 
 def _window(recording, seconds, random):

@@ -36,6 +36,7 @@ BETWEEN = 4  # material points of a segment of a filmed rope, so that a hand tak
 BENT = 1.4  # by which a hinge that bends by 65 degrees is stiffer than in frame 0, 1 / cos^2 of half of that
 SEEN_START = 7  # frames that tell how fast markers move where more than two are known: 0.2 mm of jitter is then 1.2 cm/s at 100 Hz
 STIFFNESSES = (0.1, 1.0, 10.0)  # times the usual one, from which searches start
+STRAND = 0.006  # m, thickness of a cable whose markers tell nothing of it
 SHARES = (0.3, 1.0)  # of the shapes that frames have in common, tried as natural shapes
 
 
@@ -145,6 +146,10 @@ class Rod(Body):
     @property
     def standoff(self) -> float:
         return self.radius
+
+    @property
+    def thickness(self) -> float:
+        return 2 * self.radius or STRAND
 
     @property
     def markers(self) -> np.ndarray:

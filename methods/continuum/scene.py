@@ -39,6 +39,7 @@ class Scene:
     gravity    (3,) m/s^2; ground or None; fps
     counts     of tracked, surface and interior structure points
     speeds     of the body in frame 0, or None: at rest
+    contact    whether layers or strands of the body meet
     """
 
     name: str
@@ -52,11 +53,14 @@ class Scene:
     ground: Plane | None
     fps: float
     speeds: Speeds | None = None
+    contact: bool = False
     notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, recording: Observed, body: Body, *, speeds: Speeds | None = None, notes: tuple[str, ...] = ()) -> Scene:
-        """The scene of a recording and its body, which moves at ``speeds`` in frame 0, or is at rest.
+    def of(
+        cls, recording: Observed, body: Body, *, speeds: Speeds | None = None, contact: bool = False, notes: tuple[str, ...] = ()
+    ) -> Scene:
+        """The scene of a recording and its body, which moves at ``speeds`` in frame 0, or is at rest, and with ``contact`` meets itself.
 
         notes  more than its body and hands say. Raises ValueError where a hand holds nothing though it comes near the body.
         """
@@ -64,7 +68,7 @@ class Scene:
         hands = hands_of(recording, radius=radius)
         known = dict(counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity)
         known |= dict(ground=_below(recording.ground, body), fps=recording.fps)
-        known |= dict(speeds=speeds)
+        known |= dict(speeds=speeds, contact=contact)
         notes = (*body.notes, *notes, *(n for hand in hands for n in hand.notes))
         return cls(recording.name, body, hands=hands, radius=radius, notes=notes, **known)
 

@@ -32,6 +32,9 @@ RIGIDITIES = (0.1, 0.7, 5.0)  # times the usual one, from which searches start
 STIFFNESSES = (0.4, 1.5)  # likewise
 REACHES = (0.6, 1.2)  # of hands: how much of a cloth is pinched turns it, and no search finds that from far away
 FEWEST = 20  # points that tell a sheet
+LAYER = 0.003  # m, from the middle of one layer to that of the next: cloth is 1 to 2 mm thick and not pressed flat
+FOLDED = 0.05  # share of the nodes that have another layer beside them, from which on a sheet lies on itself
+ELSEWHERE, BESIDE = 4.0, 1.0  # edges: two nodes this far apart on the sheet, and this near each other in the room, are on two layers
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,7 @@ class Cloth(Body):
     """
 
     kind = "sheet"
+    thickness = LAYER
     nuisances = ("plate_time", "plate_drag", "drag_damping", "membrane_stiffness")
     standoff = 0.0
     grip_share = 0.6
@@ -109,6 +113,17 @@ class Cloth(Body):
     @cached_property
     def sheet(self) -> Sheet:
         return Sheet.of(self.nodes, self.triangles)
+
+    @cached_property
+    def is_folded(self) -> bool:
+        """Whether layers lie on each other in frame 0."""
+        from scipy.spatial import cKDTree
+
+        pitch = float(np.median(np.linalg.norm(np.diff(self.nodes[self.sheet.folds[:, :2]], axis=1)[:, 0], axis=1)))
+        pairs = cKDTree(self.nodes).query_pairs(BESIDE * pitch, output_type="ndarray")
+        ways = on_the_sheet(self.nodes, self.triangles, ELSEWHERE * pitch)
+        layered = np.unique(pairs[~np.isfinite(ways[pairs[:, 0], pairs[:, 1]])])
+        return len(layered) > FOLDED * len(self.nodes)
 
     @cached_property
     def points(self) -> Points:
@@ -193,6 +208,16 @@ class Cloth(Body):
     @classmethod
     def restored(cls, arrays, notes):
         return cls(**arrays, notes=notes)
+
+
+def on_the_sheet(nodes, triangles, most: float) -> np.ndarray:
+    """(N, N) m, ways from node to node along edges; infinite beyond ``most``."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    edges = np.unique(np.sort(np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1), axis=0)
+    length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
+    return dijkstra(coo_matrix((length, edges.T), (len(nodes),) * 2).tocsr(), directed=False, limit=most)
 
 
 def _known(recording, frames):

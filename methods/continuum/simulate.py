@@ -10,9 +10,10 @@ import torch
 
 from ...datasets.scenario import Observed
 from ...physics.batch import Batch
+from ...physics.penetrations import Penetrations, penetrations
 from ...physics.stability import stable_rounds, stable_substeps
 from ...physics.system import System
-from ...physics.terms import CoulombGround, Gravity, SoftGrip
+from ...physics.terms import CoulombGround, Gravity, LayerContact, SoftGrip
 from ...physics.terms.base import Term
 from .scene import Scene
 from .unknowns import rounded_up
@@ -22,6 +23,7 @@ __all__ = ["GRIP", "Simulator"]
 
 GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius over the usual one
 FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
+HARD = 0.5  # of the highest angular frequency of the body, that of contact with itself: such a node is 1.25 times as stiff
 LONGEST = 600  # frames
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
 LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
@@ -54,6 +56,8 @@ class Simulator:
             plane = [*scene.ground.normal, scene.ground.offset]
             names = [f"coulomb_{name}" for name in ("normal_x", "normal_y", "normal_z", "offset")]
             terms += [CoulombGround(dict(zip(names, plane, strict=True)))]
+        if scene.contact:
+            terms += [LayerContact({"layer_thickness": scene.body.thickness})]
         return System(
             positions=scene.body.positions,
             velocities=scene.velocities,
@@ -75,12 +79,21 @@ class Simulator:
         if any(body is not self.scene.body for body in bodies):  # frame 0 is under another strain in each
             pairs = zip(bodies, values, strict=True)
             return np.concatenate([self._of(body, self._known_steps).run([one], frames, controllers) for body, one in pairs])
+        return np.stack([self._observed(path) for path in self._nodes(values, frames, controllers)])
+
+    def penetrations(self, values, frames: int) -> Penetrations:
+        """How far layers or strands went into each other in a run."""
+        one = self._complete(values)
+        other = self._of(self.scene.body.under(one), self._known_steps)
+        return penetrations(self.system, other._nodes([one], frames)[0].double().cpu().numpy(), self.scene.body.thickness)
+
+    def _nodes(self, values, frames, controllers=None):
+        """Paths (frames, N, 3) m of the nodes, for each of complete ``values``."""
         batch, inputs = self._batch(values, frames, controllers)
         with torch.no_grad():
             if self.scene.launch is not None and self.scene.launch.field is not None:
                 inputs = replace(inputs, v=self._corrected(batch, inputs))
-            out = torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]])
-        return np.stack([self._observed(path) for path in batch.split(out)])
+            return batch.split(torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]]))
 
     def settle(self, values) -> np.ndarray:
         """(N, 3) m, where the nodes come to rest while hands stay as they are in frame 0.
@@ -161,6 +174,8 @@ class Simulator:
         for row, one in enumerate(values):
             for column in columns:
                 table[row, batch.column(column)] = one[column]
+        if self.scene.contact:  # at half of the highest frequency that the substeps are chosen for, which then need not be shorter
+            table[:, batch.column("layer_rate")] = torch.as_tensor(HARD * self.scene.fps * batch.substeps)
         path = self.scene.paths(controllers)[:frames]
         path = np.concatenate([path, np.repeat(path[-1:], max(0, frames - len(path)), 0)])
         held = np.tile(self.system.points.held, (len(values), 1))
@@ -183,6 +198,7 @@ class Simulator:
         key = tuple(most[p.name] for t in shown for p in t.parameters if not p.name.endswith("friction"))
         if key not in self._known_steps:
             stiffest = self.scene.body.stiffened(self.system.with_values(**most), most)
+            stiffest = replace(stiffest, terms=[t for t in stiffest.terms if t.stage != "layer"])
             substeps = stable_substeps([stiffest], 1 / self.scene.fps)
             while True:
                 try:

@@ -66,7 +66,8 @@ class ContinuumTwin(Twin):
         exactly two frames are given, as ``Scenario.start_frames`` may declare: then as fast as they say.
         """
         first, body = target.until(1), self.scene.body
-        there = placed(first, body.laid(first), Config(start="frames" if target.observed_frames == 2 else "rest"), target)
+        start, contact = "frames" if target.observed_frames == 2 else "rest", "on" if self.scene.contact else "off"
+        there = placed(first, body.laid(first), Config(start=start, contact=contact), target)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
         values |= self._grips(there)
         if body.is_loaded and not there.body.is_loaded:
@@ -98,7 +99,7 @@ class ContinuumTwin(Twin):
         for k, hand in enumerate(scene.hands):
             arrays |= {f"hand{k}_{f.name}": getattr(hand, f.name) for f in fields(Hand) if f.name not in ("turns", "notes")}
         state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "notes")}
-        state |= dict(kind=scene.body.kind, elements=scene.body.elements, body_notes=scene.body.notes)
+        state |= dict(contact=scene.contact, kind=scene.body.kind, elements=scene.body.elements, body_notes=scene.body.notes)
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
         state |= dict(values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior)
@@ -118,7 +119,7 @@ class ContinuumTwin(Twin):
         known = {name: arrays[name] for name in ("controllers", "grips", "gravity")}
         speeds = {f.name: arrays[f"speeds_{f.name}"] for f in fields(Speeds) if f"speeds_{f.name}" in arrays}
         known |= dict(speeds=Speeds(**speeds) if speeds else None)
-        known |= {name: state[name] for name in ("name", "radius", "fps")}
+        known |= {name: state[name] for name in ("name", "radius", "fps", "contact")}
         scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
         return cls(scene, state["values"], extra, state["posterior"], state["device"])

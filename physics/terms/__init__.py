@@ -31,6 +31,7 @@ from .hidden_tether import HiddenTether
 from .inflation import Inflation
 from .internal_friction import InternalFriction
 from .kelvin_voigt import KelvinVoigt
+from .layer_contact import LayerContact
 from .linear_drag import LinearDrag
 from .maxwell import Maxwell
 from .membrane import Membrane
@@ -96,6 +97,7 @@ __all__ = [
     "Inflation",
     "InternalFriction",
     "KelvinVoigt",
+    "LayerContact",
     "LinearDrag",
     "Maxwell",
     "Membrane",

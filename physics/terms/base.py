@@ -16,6 +16,7 @@ stage       law                                                      returns
 "viscous"   (rate, p, o)                                             second Piola-Kirchhoff stress [Pa], linear in the Green strain's rate
 "membrane"  (strain, rate, p, o)                                      stress resultants of a sheet [N/m]
 "plate"     (curvature, rate, p, o)                                   moments per length of a sheet [N]
+"layer"     (apart, rate, m, p, o)                                   force on the first of two places [N]; they meet within p[o]
 "body"      (x, v, home, m, p, o)                                    force on one particle [N]; it was at ``home`` in frame 0
 "surface"   (x, v, home, area, m, p, o)                          force on a point of the skin [N] that stands for an area [m^2]
 "touch"     (x, v, m, q, p, o)                                   force of the ground on a point of the skin [N] that remembers q (3,)
@@ -54,6 +55,10 @@ A sheet is a triangulation (``physics.sheets``); strain is Green's, curvature [1
 rest, rate [1/s, 1/m/s] theirs; all of them and what laws return are symmetric tensors in a triangle's plane, written (11, 22, 12), where
 work is S_11 E_11 + S_22 E_22 + 2 S_12 E_12. Laws are the same in all directions.
 
+Layers of a sheet and strands of a rope, or of several in one system, meet as vertices and triangles, and as edges; apart [m] is the way
+from the second to the first nearest place, rate [m/s] its change, m [kg] what the pair carries. See ``physics.layers``. A layer term
+declares ``hardness`` as below.
+
 Where a system has material points (``physics.points``), body forces act on them instead of on nodes, and only then are there the stages
 "surface", "touch" and "grip"; m [kg] is what a point carries of its body, for springs that must hold it. A touch term declares ``evolve``
 (x, v, m, q, dt, p, o), too: its law sees the memory after the substep, which is how far friction is stretched. A touch or grip term also
@@ -62,8 +67,8 @@ declares ``hardness``, (stiffness / m [1/s^2], damping / m [1/s]) at given param
 A law builds a vector whole, ``type(x)(a, b, c)``, or writes each component of a new one once: Warp's adjoint of a component that is written
 over is wrong.
 
-Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, body, surface, touch, grip and observer
-terms, then v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
+Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, layer, body, surface, touch, grip and
+observer terms, then v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
 """
 
 from dataclasses import dataclass, field, replace
@@ -77,7 +82,7 @@ __all__ = ["ARGUMENTS", "CELLS", "SHEETS", "STAGED", "STAGES", "Effect", "Term"]
 CELLS = ("growth", "flow", "solid", "material", "branch", "viscous")  # of solids: what they do they do in a grid's cells
 SHEETS = ("membrane", "plate")
 SPRINGS, POINTS = ("axial", "strand", "hinge", "facet"), ("body", "surface", "touch", "grip")
-STAGED = (*SPRINGS, *CELLS, *SHEETS, *POINTS, "observer", "velocity", "contact", "move")  # whose laws are in the kernels
+STAGED = (*SPRINGS, *CELLS, *SHEETS, "layer", *POINTS, "observer", "velocity", "contact", "move")  # whose laws are in the kernels
 STAGES = (*STAGED, "links", "setup")
 # what a law is given, before p and o; its numpy twin is given the same, and then the parameters
 ARGUMENTS = {
@@ -93,6 +98,7 @@ ARGUMENTS = {
     "viscous": ("rate",),
     "membrane": ("strain", "rate"),
     "plate": ("curvature", "rate"),
+    "layer": ("apart", "rate", "m"),
     "body": ("x", "v", "home", "m"),
     "surface": ("x", "v", "home", "area", "m"),
     "touch": ("x", "v", "m", "q"),
