@@ -34,6 +34,7 @@ class Body(ABC):
     standoff: float = 0.0  # m, from its surface points to where it touches the ground
     recordings: int = 3  # that are fitted jointly, at most, unless a config says
     seconds: float = np.inf  # of each
+    iterations: int = 8  # of the search, at most
     structure: np.ndarray
     surface: np.ndarray
     notes: tuple[str, ...]

@@ -120,7 +120,7 @@ def estimate(
 
     options = dict(independent=task.independent, seed=seed)
     rough = np.hypot(task.noise, ROUGH * min(s.noise for s in task.sights))
-    search = Steps(iterations=config.iterations)
+    search = Steps(iterations=kind.iterations if config.iterations is None else config.iterations)
     found = fit(
         task.unknowns,
         coarse.simulate,
@@ -128,7 +128,7 @@ def estimate(
         rough,
         starts=_scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts),
         steps=search,
-        progress=told("search", 0.0, 0.5, config.iterations),
+        progress=told("search", 0.0, 0.5, search.iterations),
         **options,
     )
     spread = _spread(found, task, coarse, config.members, seed) if config.members else np.zeros(len(task.data))
