@@ -159,12 +159,3 @@ def test_a_body_without_chains_has_no_braces():
     )
     batch = Batch([system], fps=30, substeps=4, double=True)
     assert (batch.prepare(batch.inputs).stiffness.numpy() == 1e3).all()
-
-
-def test_modes_are_those_of_the_first_chain():
-    # a branch from the fifth node: modes and ends bend the main chain by a l and its ends further, and leave the branch straight
-    positions = np.concatenate([straight(), [[4 * LINK, k * LINK, 0] for k in range(1, 5)]])
-    chains = (np.arange(9), np.array([4, 9, 10, 11, 12]))
-    batch = Batch([rope(positions, chains=chains, terms=bending(natural_a0=4.0, natural_a_last=0.3))], fps=30, double=True)
-    size = np.linalg.norm(batch.prepare(batch.inputs).natural.numpy(), axis=1)
-    np.testing.assert_allclose(size, [*[4.0 * LINK] * 6, 4.0 * LINK + 0.3, 0, 0, 0], atol=1e-12)

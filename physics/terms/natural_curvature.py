@@ -20,9 +20,8 @@ class NaturalCurvature(Term):
     """kappa_0 <- n kappa_0 + l sum_k (a_k, b_k) P_k(u) at hinges along chains: natural curvature per length in Legendre modes.
 
     u runs from -1 to 1 along the rope's arc and l is the hinge's span. The first and the last hinge of a chain have further angles of their
-    own, at which a grip may hold it. Both are of a system's first chain; branches are bent by n kappa_0 alone. The two axes are those of
-    untwisted frames that are rolled, all by one angle a chain, to where the first shape is nearest to the natural one: what a recording
-    does not tell is how a rope was turned about itself.
+    own, at which a grip may hold it. The two axes are those of untwisted frames that are rolled, all by one angle a chain, to where
+    the first shape is nearest to the natural one: what a recording does not tell is how a rope was turned about itself.
     The roll is the angle of sum (B / l) kappa kappa_0* over a chain's hinges, with two components as a complex number.
     """
 
@@ -92,12 +91,10 @@ def _look(batch):
     framed = np.flatnonzero((sides[:, 0] >= 0) & (joint[:, 0] >= 0))
     first, second = sides[framed].T
     u = 2 * (arc - before)[first] / total[first] - 1
-    main = np.concatenate([[0], np.cumsum([len(one.chains) for one in batch.systems])])[:-1]
-    own = np.isin(of_chain[first], main)[:, None]
-    modes = np.stack([np.polynomial.legendre.Legendre.basis(k)(u) for k in range(MODES)], 1) * own
+    modes = np.stack([np.polynomial.legendre.Legendre.basis(k)(u) for k in range(MODES)], 1)
     lows = np.unique(of_chain, return_index=True)[1]
     highs = np.concatenate([lows[1:], [len(of_chain)]]) - 1
-    ends = np.stack([np.isin(first, lows), np.isin(second, highs)], 1) * own
+    ends = np.stack([np.isin(first, lows), np.isin(second, highs)], 1).astype(float)
     t = unit(x[segment[:, 1]] - x[segment[:, 0]])
     kappa = curvature(t[first], t[second], directors[first], directors[second])
     system = np.searchsorted(constants["hinge_start"], framed, side="right") - 1
