@@ -1,8 +1,9 @@
-"""How right twins are about marked cables: ``python -m twinbench.benchmark.rod_twins PATH/DLO1 ... --seeds 0 --out FILE``.
+"""How right twins are about marked cables: ``python -m twinbench.benchmark.rod_twins PATH/DLO1 ... --seeds 0 --jobs 2 --out FILE``.
 
 One twin of ``continuum`` is fitted on the training recordings and placed in every evaluation recording: as fast as its first two frames
 say (as DEFORM's evaluation does, which is given these), and at rest, told the first alone. Errors are mean absolute ones per coordinate
-over the whole recording, of all markers, driven ones included, and of the free ones.
+over the whole recording, of all markers, driven ones included, and of the free ones. ``--split clean`` leaves training recordings out that
+are of one take with an evaluation recording.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 import csv
 import json
 import time
+from concurrent.futures import as_completed
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +21,7 @@ import numpy as np
 from ..datasets.collection import open_collection
 from ..methods.base import Diverged
 from ..methods.continuum import Continuum
+from .processes import workers
 
 __all__ = ["coordinate_errors", "main", "rows_of"]
 
@@ -34,8 +37,9 @@ def coordinate_errors(twin, scenario) -> tuple[float, float]:
     return 1e3 * float(np.nanmean(off)), 1e3 * float(np.nanmean(off[:, free]))
 
 
-def rows_of(collection, *, preset: str, seed: int) -> list[dict]:
-    """A row for each evaluation recording."""
+def rows_of(path: Path, *, split: str, preset: str, seed: int) -> list[dict]:
+    """A row for each evaluation recording of the cable at ``path``."""
+    collection = open_collection(path, split=split)
     begun = time.time(), time.process_time()
     sources = [collection.load(name).observed() for name in collection.pairs[0].sources]
     twin = Continuum().fitted(sources, replace(Continuum.presets[preset], start="frames"), seed=seed)
@@ -66,20 +70,24 @@ def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("cables", nargs="+", type=Path)
     parser.add_argument("--preset", choices=("quick", "full"), default="quick")
+    parser.add_argument("--split", choices=("published", "clean"), default="published")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0])
+    parser.add_argument("--jobs", type=int, default=1, help="fits at a time, each in a process of its own")
     parser.add_argument("--out", type=Path, required=True)
     asked = parser.parse_args(arguments)
-    rows = []
-    for seed in asked.seeds:
-        for path in asked.cables:
-            found = rows_of(open_collection(path), preset=asked.preset, seed=seed)
-            rows += found
-            asked.out.parent.mkdir(parents=True, exist_ok=True)
+    if asked.jobs < 1:
+        parser.error(f"--jobs must be at least 1, got {asked.jobs}")
+    asked.out.parent.mkdir(parents=True, exist_ok=True)
+    rows, options = [], dict(split=asked.split, preset=asked.preset)
+    with workers(asked.jobs) as pool:
+        waiting = [pool.submit(rows_of, path, seed=seed, **options) for seed in asked.seeds for path in asked.cables]
+        for one in as_completed(waiting):
+            rows += one.result()
             with asked.out.open("w", newline="", encoding="utf-8") as file:
                 writer = csv.DictWriter(file, rows[0])
                 writer.writeheader()
-                writer.writerows(rows)
-            print(summary(found), flush=True)
+                writer.writerows(sorted(rows, key=lambda row: (row["cable"], row["seed"])))
+            print(summary(one.result()), flush=True)
 
 
 if __name__ == "__main__":

@@ -38,6 +38,7 @@ class Body(ABC):
     is_folded: bool = False  # whether it lies on itself in frame 0, as far as its kind can tell
     recordings: int = 3  # that are fitted jointly, at most, unless a config says
     seconds: float = np.inf  # of each
+    iterations: int = 8  # of the search, at most
     structure: np.ndarray
     surface: np.ndarray
     notes: tuple[str, ...]

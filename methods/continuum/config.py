@@ -19,7 +19,8 @@ class Config:
 
     pitch       edge of a cell over that of ``gridding.grid_of``: one layer of cells bends right to within 1 % (results/continuum.md)
     starts      of the search, spread over the priors
-    iterations  of the search, at most, which is made in larger cells, and of the ``refinement`` in those of ``pitch``
+    iterations  of the search, at most, which is made in larger cells (None: as many as suit the kind of body), and of the ``refinement`` in
+                those of ``pitch``
     coarse      how many times as large cells are in the search
     recordings  that are fitted jointly, at most; None: as many as suit the kind of body
     seconds     of each that are fitted, from any frame in which the whole body is known; None: as suits the kind, or all
@@ -34,7 +35,7 @@ class Config:
 
     pitch: float = 1.0
     starts: int = 3
-    iterations: int = 8
+    iterations: int | None = None
     refinement: int = 4
     coarse: float = 1.5
     recordings: int | None = None

@@ -126,7 +126,7 @@ def estimate(
         starts = np.array([[begin.get(u.name, u.value) for u in task.unknowns]])
     else:
         starts = _scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts)
-    search = Steps(iterations=config.iterations)
+    search = Steps(iterations=kind.iterations if config.iterations is None else config.iterations)
     found = fit(
         task.unknowns,
         coarse.simulate,
@@ -134,7 +134,7 @@ def estimate(
         rough,
         starts=starts,
         steps=search,
-        progress=told("search", 0.0, 0.5, config.iterations),
+        progress=told("search", 0.0, 0.5, search.iterations),
         **options,
     )
     spread = _spread(found, task, coarse, config.members, seed) if config.members else np.zeros(len(task.data))

@@ -19,7 +19,7 @@ from .bodies import Body
 from .body import SolidBody
 from .chains import marked_chains
 from .config import Config
-from .natural import common_shapes, shape_unknowns, shape_values
+from .natural import LOOKS, common_shapes, shape_unknowns, shape_values
 from .start import Speeds
 from .strands import Strands, divided, embedded
 from .unknowns import Unknown, rounded_up
@@ -55,8 +55,9 @@ class Rod(Body):
     kind = "rope"
     nuisances = ("bending_time", "torsion_ratio", "drag_damping")
     dimensions = 1
-    recordings = 24
+    recordings = 40
     seconds = 1.5
+    iterations = 16
 
     strands: Strands
     radius: float
@@ -73,13 +74,13 @@ class Rod(Body):
 
     @classmethod
     def marked(cls, recording: Observed, times: float = 1.0) -> Rod:
-        """Of markers along it, which are nodes; each part between two is divided where ``times`` is less than 1."""
+        """Of markers along it, which are nodes; the ways between two are divided where ``times`` is less than 1, the longer ones first."""
         _refuse_unseen(recording)
         others = np.concatenate([recording.surface, recording.interior])
         chains = marked_chains(recording.points[0], others, _tracks(recording))
         if not chains:
             raise ValueError(f"the markers of a rope must follow each other along it, got no such order (scenario {recording.name})")
-        strands, marks = divided(recording.points[0], chains, max(1, round(1 / times))), np.full(len(recording.structure), -1)
+        strands, marks = divided(recording.points[0], chains, times), np.full(len(recording.structure), -1)
         marks[: recording.counts[0]] = np.arange(recording.counts[0])
         return cls(strands, 0.0, np.zeros((len(strands.hinges), 2)), recording.structure, marks)
 
@@ -106,6 +107,7 @@ class Rod(Body):
             return [replace(b, natural=first.natural if len(first.natural) == len(b.natural) else b.natural) for b in bodies]
         seen = np.concatenate([_tracks(one) for one in recordings])
         first = replace(first, strands=first.strands.measured(seen))
+        first = replace(first, natural=_branching(first.strands, recordings))
         return [first, *(first.laid(one) for one in recordings[1:])]
 
     def coarser(self, recording: Observed, times: float) -> Rod:
@@ -266,19 +268,30 @@ class Rod(Body):
     def arrays(self):
         own = self.strands
         arrays = dict(nodes=own.nodes, rest=own.rest, chains=np.concatenate(own.chains), cuts=np.cumsum([len(c) for c in own.chains]))
-        arrays |= dict(marked=np.array(own.marked))
+        arrays |= dict(marked=np.array(own.marked), joints=own.joints)
         return arrays | dict(radius=np.array(self.radius), natural=self.natural, structure=self.structure, marks=self.marks)
 
     @classmethod
     def restored(cls, arrays, notes):
         chains = tuple(np.split(arrays["chains"], arrays["cuts"][:-1]))
-        strands = Strands(arrays["nodes"], chains, arrays["rest"], int(arrays["marked"]))
+        strands = Strands(arrays["nodes"], chains, arrays["rest"], int(arrays["marked"]), arrays["joints"])
         return cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes)
 
 
 def _is_marked(recording):
     """Whether tracks are markers on the axis, not points of a skin."""
     return recording.counts[0] <= MOST_MARKERS and not recording.counts[1]
+
+
+def _branching(strands: Strands, recordings) -> np.ndarray:
+    """(H, 2) natural curvature: none along chains, at joints the median of what is seen in frames of ``recordings``."""
+    found = np.zeros((len(strands.hinges), 2))
+    if len(strands.joints):
+        seen = [(one, slice(None, None, max(1, round(LOOKS * one.fps)))) for one in recordings]
+        frames = np.concatenate([one.points[every][one.visible[every].all(1)] for one, every in seen])
+        looks = [natural_curvature(strands.moved(frame).nodes, strands.joints)[:, 0] for frame in frames]
+        found[-len(strands.joints) :, 0] = np.median(looks, axis=0)
+    return found
 
 
 def _tracks(recording):

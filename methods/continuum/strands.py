@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -14,18 +14,20 @@ from ...physics.topology import rope_hinges
 
 __all__ = ["Embedding", "Strands", "divided", "embedded"]
 
+LOOKS = 200  # frames in which lengths are looked up, or a few more
 SMOOTH = 1e-3  # weight of second differences beside what points say of the nodes' velocities
 
 
 @dataclass(frozen=True, eq=False)
 class Strands:
     """nodes (N, 3) m; chains of nodes in order, each further one from the node at which it branches off; rest (S,) m, the lengths of their
-    segments, chain after chain; the first ``marked`` nodes are markers."""
+    segments, chain after chain; the first ``marked`` nodes are markers; joints (J, 3), nodes of hinges from one chain to another."""
 
     nodes: np.ndarray
     chains: tuple[np.ndarray, ...]
     rest: np.ndarray
     marked: int = 0
+    joints: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), int))
 
     @cached_property
     def segments(self) -> np.ndarray:
@@ -34,13 +36,14 @@ class Strands:
 
     @cached_property
     def hinges(self) -> np.ndarray:
-        """(H, 3) nodes, chain after chain."""
-        return np.concatenate([rope_hinges(c) for c in self.chains])
+        """(H, 3) nodes, chain after chain, and the joints."""
+        return np.concatenate([*(rope_hinges(c) for c in self.chains), self.joints])
 
     @cached_property
     def span(self) -> np.ndarray:
         """(H,) m, the length that each hinge stands for."""
-        return np.concatenate([(part[:-1] + part[1:]) / 2 for part in self.parts])
+        between = {frozenset(pair): length for pair, length in zip(self.segments.tolist(), self.rest, strict=True)}
+        return np.array([sum(between[frozenset(pair)] for pair in pairwise(hinge)) / 2 for hinge in self.hinges.tolist()])
 
     @property
     def parts(self) -> list[np.ndarray]:
@@ -60,13 +63,22 @@ class Strands:
         return chain[at], np.diff(arc[at])
 
     def measured(self, tracks: np.ndarray) -> Strands:
-        """With medians of the distances between neighbouring markers in ``tracks`` (T, n, 3) m, NaN where not seen."""
+        """With medians of the lengths of its segments while the markers go along ``tracks`` (T, n, 3) m, NaN where not seen.
+
+        Where nodes lie between two markers, these lengths are along the curve through all markers of the chain: a chord is shorter.
+        """
         parts = []
         for chain, part in zip(self.chains, self.parts, strict=True):
             at = np.flatnonzero(chain < self.marked)
-            for a, b in pairwise(at.tolist()):
-                seen = np.nanmedian(np.linalg.norm(tracks[:, chain[b]] - tracks[:, chain[a]], axis=1))
-                parts.append(part[a:b] * (seen / np.linalg.norm(self.nodes[chain[b]] - self.nodes[chain[a]])))
+            seen = tracks[:, chain[at]]
+            whole = seen[np.isfinite(seen).all((1, 2))]
+            if len(at) < len(chain) and len(whole):
+                arc = np.concatenate([[0.0], np.cumsum(part)])
+                nodes = _curve(arc[at], whole[:: max(1, len(whole) // LOOKS)])(arc)
+                parts.append(np.median(np.linalg.norm(np.diff(nodes, axis=1), axis=2), axis=0))
+                continue
+            chords = np.nanmedian(np.linalg.norm(np.diff(seen, axis=1), axis=2), axis=0)
+            parts += [part[a:b] * (chord / part[a:b].sum()) for (a, b), chord in zip(pairwise(at.tolist()), chords, strict=True)]
         return replace(self, rest=np.concatenate(parts))
 
     def moved(self, markers: np.ndarray) -> Strands:
@@ -78,24 +90,39 @@ class Strands:
             arc = np.concatenate([[0.0], np.cumsum(part)])
             between = np.flatnonzero(chain >= self.marked)
             if len(between):
-                nodes[chain[between]] = _curve(arc[at], markers[chain[at]])(arc[between])
+                nodes[chain[between]] = _curve(arc[at], markers[None, chain[at]])(arc[between])[0]
         return replace(self, nodes=nodes)
 
 
-def divided(markers: np.ndarray, chains: Sequence[np.ndarray], parts: int) -> Strands:
-    """Strands through ``markers`` (n, 3) m in the order of ``chains``, each way between two divided into ``parts``."""
-    found, lengths, count = [], [], len(markers)
-    for chain in chains:
-        steps = np.linalg.norm(np.diff(markers[chain], axis=0), axis=1)
+def divided(markers: np.ndarray, chains: Sequence[np.ndarray], times: float) -> Strands:
+    """Strands through ``markers`` (n, 3) m in the order of ``chains``.
+
+    Each way between two is in equal parts of about ``times`` the usual way's length: short ones, as in a grip, stay whole the longest.
+    """
+    ways = [np.linalg.norm(np.diff(markers[chain], axis=0), axis=1) for chain in chains]
+    found, lengths, count, usual = [], [], len(markers), np.median(np.concatenate(ways))
+    for chain, steps in zip(chains, ways, strict=True):
+        parts = np.maximum(1, np.rint(steps / (times * usual)).astype(int))
         lengths.append(np.repeat(steps / parts, parts))
-        row = np.empty(parts * len(steps) + 1, int)
-        row[::parts] = chain
-        inner = np.arange(len(row)) % parts > 0
+        row = np.full(parts.sum() + 1, -1)
+        row[np.concatenate([[0], np.cumsum(parts)])] = chain
+        inner = row < 0
         row[inner] = count + np.arange(inner.sum())
         count += int(inner.sum())
         found.append(row)
     nodes = np.concatenate([markers, np.zeros((count - len(markers), 3))])
-    return Strands(nodes, tuple(found), np.concatenate(lengths), len(markers)).moved(markers)
+    strands = Strands(nodes, tuple(found), np.concatenate(lengths), len(markers)).moved(markers)
+    return replace(strands, joints=_joints(strands.nodes, strands.chains))
+
+
+def _joints(nodes, chains):
+    """(J, 3) of each further chain, a hinge to the part of the rope that it goes on from most nearly straight."""
+    found = []
+    for k, chain in enumerate(chains[1:], start=1):
+        beside = np.concatenate([_beside(c, chain[0]) for c in chains[:k]])
+        straight = unit(nodes[chain[0]] - nodes[beside]) @ (nodes[chain[1]] - nodes[chain[0]])
+        found.append([beside[straight.argmax()], *chain[:2]])
+    return np.array(found, int).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,6 +201,12 @@ def _lagrange(at, x):
     return found
 
 
+def _beside(chain, node):
+    """The neighbours of ``node`` in ``chain``."""
+    at = np.flatnonzero(chain == node)
+    return chain[[k for i in at for k in (i - 1, i + 1) if 0 <= k < len(chain)]]
+
+
 def _carried(axis, before, now):
     """``axis`` (S, 3) turned by the smallest rotation from ``before`` to ``now`` (S, 3), unit tangents."""
     along = (axis * before).sum(1, keepdims=True)
@@ -191,6 +224,7 @@ def _bends(chain, count):
 
 
 def _curve(arc, points):
+    """Curves through ``points`` (T, n, 3) at ``arc`` (n,)."""
     from scipy.interpolate import CubicSpline
 
-    return CubicSpline(arc, points, bc_type="natural")
+    return CubicSpline(arc, points, axis=1, bc_type="natural")

@@ -16,6 +16,7 @@ from twinbench.methods.continuum.natural import common_shapes
 from twinbench.methods.continuum.rods import GRAVITY, Rod
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
+from twinbench.methods.continuum.start import Speeds
 from twinbench.methods.continuum.twin import ContinuumTwin
 from twinbench.methods.continuum.windows import window
 
@@ -244,3 +245,47 @@ def test_a_marker_that_is_not_seen_at_first_is_refused():
         Rod.marked(replace(recording, visible=hidden))
     with pytest.raises(ValueError, match="a rope of 17 markers must have as many elsewhere, got 9"):
         Rod.marked(recording).laid(swung(2))
+
+
+def branched(angle=0.6):
+    """A main cable of nine markers along x, held at one end, and a branch of four from its fifth, which leaves by ``angle`` rad."""
+    main = np.stack([0.08 * np.arange(9), np.zeros(9), np.zeros(9)], 1)
+    out = main[4] + 0.08 * np.arange(1, 5)[:, None] * [np.cos(angle), np.sin(angle), 0.0]
+    ways = main, np.concatenate([main[4:5], out])
+    between = np.concatenate([way[:-1] + share * np.diff(way, axis=0) for way in ways for share in (0.25, 0.5, 0.75)])
+    found = cable(np.concatenate([main, out]), (0, 1), gravity=np.zeros(3), fps=60.0, name="branched")
+    return replace(found, interior=between)
+
+
+def test_a_joint_of_a_branch_has_a_natural_angle_and_a_moment():
+    # 2 tan(angle / 2) as seen is what the joint wants: at rest it lies still, and a push of the branch's tip that a
+    # pivot would let go on for ever comes to rest where the angle is what it was
+    recording, angle = branched(), 0.6
+    body = Rod.joined([Rod.marked(recording)], [recording])[0]
+    assert body.strands.joints.tolist() == [[3, 4, 9]] and body.natural[-1, 0] == pytest.approx(2 * np.tan(angle / 2), rel=1e-6)
+    known = dict(bending_stiffness=0.05, bending_time=0.02, drag_damping=1.0)
+    scene = Scene.of(recording, body)
+    assert np.abs(np.diff(Simulator(scene).run([known], 30)[0], axis=0)).max() < 1e-5
+    push = np.zeros((len(body.structure), 3))
+    push[9:13] = 0.5 * np.arange(1, 5)[:, None] * [-np.sin(angle), np.cos(angle), 0.0]
+    pushed = Scene.of(recording, body, speeds=Speeds.of(body.structure, push))
+    path = Simulator(pushed).run([known], 300)[0]
+
+    def opening(points):
+        arms = points[4] - points[3], points[9] - points[4]
+        return np.arccos(arms[0] @ arms[1] / np.prod([np.linalg.norm(a) for a in arms]))
+
+    assert max(abs(opening(x) - angle) for x in path) > 0.1
+    assert opening(path[-1]) == pytest.approx(angle, abs=0.02)
+
+
+def test_nodes_between_markers_lie_on_the_curve_and_have_its_length():
+    # markers at every 0.6 rad of a circle of radius r = 0.5 m: a chord is 2 r sin(0.3), one of half the way 2 r sin(0.15), so that two of
+    # these are 1.1 % longer; the spline's own error is below half of that where three markers lie on either side
+    angle = 0.6 * np.arange(8)
+    points = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    recording = cable(np.repeat(points[None], 3, 0), (0, 1))
+    body = Rod.joined([Rod.marked(recording, 0.5)], [recording])[0]
+    assert len(body.positions) == 15
+    found = body.strands.rest[6:8].sum()
+    assert found == pytest.approx(2 * 2 * 0.5 * np.sin(0.15), rel=0.005) and found > 1.005 * 2 * 0.5 * np.sin(0.3)
