@@ -93,7 +93,7 @@ def diffcloud_scenario(clip: Clip) -> Scenario:
     for t, cloud in enumerate(clouds):
         points[t, : len(cloud)], visible[t, : len(cloud)] = cloud, True
     hidden = count - len(clouds[0])
-    points[0, len(clouds[0]) :] = _cloth(path[0], toward, int(np.ceil(np.sqrt(hidden))) + 2, margin=0.5)[:hidden]
+    points[0, len(clouds[0]) :] = _cloth(path[0], toward, int(np.ceil(np.sqrt(hidden))) + 2, margin=0.431)[:hidden]
     with named(clip.folder):
         return Scenario(
             name=clip.name,

@@ -22,11 +22,11 @@ from .unknowns import Unknown, members
 
 __all__ = ["Estimate", "estimate", "unknowns_of"]
 
-ROUGH = 4.0  # times their noise, by which tracks are heard before it is known what can be predicted
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
 UNLOADINGS = 2  # times that a rest shape is solved before a refinement: from the search's stiffness, then from a better one
 RATES = 5.0  # times the rate that was meant, at most, that frames came at where it was not recorded, or as many times fewer
+TRIED_RATES = (1.0, 0.6, 1.6)  # times that rate, from which searches start
 MOMENT = 0.1  # s: frames so near say the same
 
 
@@ -103,14 +103,14 @@ def estimate(
         return tell
 
     options = dict(independent=task.independent, seed=seed)
-    rough = np.hypot(task.noise, ROUGH * min(s.noise for s in task.sights))
+    rough = np.hypot(task.noise, min(s.rough for s in task.sights))
     search = Steps(iterations=config.iterations)
     found = fit(
         task.unknowns,
         coarse.simulate,
         task.data,
         rough,
-        starts=_scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts),
+        starts=_scouted(coarse, _timed(kind.starts(bodies, recordings, task.unknowns, config), task.unknowns), rough, config.starts),
         steps=search,
         progress=told("search", 0.0, 0.5, config.iterations),
         **options,
@@ -232,6 +232,16 @@ def _blocks(sight: Sight, record: int):
     places = np.nan_to_num(sight.points[0])
     label = kmeans2(places, min(REGIONS, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
     return np.tile(np.repeat(record * REGIONS + label, 3), len(sight.points))
+
+
+def _timed(starts, unknowns):
+    """``starts`` (K, n), each also with lower and higher rates of frames where these are unknown."""
+    own = [k for k, u in enumerate(unknowns) if u.name.endswith("_frame_rate")]
+    if not own:
+        return starts
+    found = np.repeat(starts[None], len(TRIED_RATES), 0)
+    found[:, :, own] *= np.array(TRIED_RATES)[:, None, None]
+    return found.reshape(-1, len(unknowns))
 
 
 def _scouted(task: Task, starts, rough, count: int):

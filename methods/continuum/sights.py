@@ -11,6 +11,7 @@ from .clouds import Cover, Patches, covers, evenly, roughness
 
 __all__ = ["CloudSight", "Sight", "jitter", "sight_of"]
 
+ROUGH = 4.0  # times their noise, by which tracks are heard before it is known what can be predicted
 LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
 CLOUDED = 0.003  # m: a cloud's points lie smoother than cameras agree with each other
 APART = 0.015  # m between the points of a cloud that are heard: a tenth of a fold's radius
@@ -37,6 +38,11 @@ class Sight:
     def frames(self) -> int:
         """F."""
         return len(self.points)
+
+    @property
+    def rough(self) -> float:
+        """m, by which data are off before it is known what can be predicted."""
+        return ROUGH * self.noise
 
     @property
     def data(self) -> np.ndarray:
@@ -71,6 +77,7 @@ class CloudSight:
     covers: tuple[Cover | None, ...]
     noise: float
     dimensions = 1
+    rough = 0.0  # distances that are larger than noise scale all of it up
 
     @classmethod
     def of(cls, recording: Observed, frames: int | None) -> CloudSight:
