@@ -44,7 +44,7 @@ def read_cloud(file: Path, least: int = 1) -> np.ndarray:
     check_file(file)
     try:
         found = np.load(file, mmap_mode="r", allow_pickle=False)  # a map is never larger than its file
-    except (ValueError, OSError, EOFError, TypeError, SyntaxError, MemoryError, OverflowError) as error:
+    except Exception as error:  # the header is parsed as Python is, which fails in many ways
         said = shown(str(error) or type(error).__name__)
         raise ValueError(f"{file}: not a readable .npy file of numbers ({said})") from None
     if not isinstance(found, np.ndarray) or found.dtype.kind not in "iuf" or found.ndim != 2 or found.shape[1] != 3 or len(found) < least:

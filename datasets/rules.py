@@ -90,7 +90,7 @@ def _rules(values, shapes):
     fps = values.get("fps", 1.0)
     if isinstance(fps, (bool, np.bool_)) or not isinstance(fps, Real) or not 0 < fps <= MAX_FPS:
         yield error("fps", f"must be a number > 0 and at most {MAX_FPS:g} frames per second, got {shown(fps)}")
-    if not values.get("correspond", True) and "motion_valid" in good and good["motion_valid"].any():
+    if values.get("correspond", True) is False and "motion_valid" in good and good["motion_valid"].any():
         yield error("motion_valid", f"must be False where points do not correspond, got {count(good['motion_valid'], 'motion')}")
     flags = {name: (bool, np.bool_) for name in ("self_collision", "timed", "correspond")}
     for name, kind in {"object": str, "session": str, **flags}.items():
