@@ -74,6 +74,14 @@ def test_chamfer_can_be_scored_and_tracks_cannot(tmp_path):
     assert get_method("continuum").skip(one) is None
 
 
+def test_clouds_are_not_diagnosed(tmp_path):
+    from twinbench.diagnosis.diagnose import diagnose
+
+    write(tmp_path)
+    with pytest.raises(ValueError, match="fold_red: a diagnosis needs points that correspond from frame to frame, got clouds"):
+        diagnose(open_collection(tmp_path).load("fold_red"))
+
+
 DAMAGE = {
     "empty": (lambda file: file.write_bytes(b""), "not a readable .npy file"),
     "garbage": (lambda file: file.write_bytes(bytes(range(256))), "not a readable .npy file"),

@@ -25,7 +25,7 @@ __all__ = ["Estimate", "estimate", "unknowns_of"]
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
 UNLOADINGS = 2  # times that a rest shape is solved before a refinement: from the search's stiffness, then from a better one
-RATES = 5.0  # times the rate that was meant, at most, that frames came at where it was not recorded, or as many times fewer
+RATES = 3.0  # times the rate that was meant, at most, that frames came at where it was not recorded, or as many times fewer
 TRIED_RATES = (1.0, 0.6, 1.6)  # times that rate, from which searches start
 MOMENT = 0.1  # s: frames so near say the same
 
