@@ -18,14 +18,18 @@ from .cache import Cache
 
 __all__ = ["Checksums", "checksum", "image_checksum", "images_of", "observed_checksum", "observed_of"]
 
+USUAL = {"start_frames": (1,), "timed": (True,), "correspond": (True,), "actuation": (None,)}
+
 
 def checksum(scenario: Scenario) -> str:
     """Hexadecimal SHA-256 of everything a scenario holds but its name and its images (which are read lazily).
 
-    The usual protocol, in which one frame shows how it starts, has no part in it.
+    What is usual, as that one frame shows how it starts and that points correspond, has no part in it.
     """
     state = hashlib.sha256()
-    usual = {"name"} | ({"start_frames"} if scenario.start_frames == 1 else set())
+    usual = {"name"} | {
+        name for name, value in USUAL.items() if type(getattr(scenario, name)) is type(value) and getattr(scenario, name) == value
+    }
     _feed(state, {f.name: getattr(scenario, f.name) for f in fields(scenario) if f.name not in usual})
     return state.hexdigest()
 

@@ -28,6 +28,10 @@ def plausible(values: Mapping[str, Any]) -> Findings:
         return
     body = np.concatenate([points[0], *(values[name] for name in ("surface", "interior") if name in values)])
     yield from _body(body)
+    if not values.get("timed", True):
+        yield warning("fps", "was not recorded: speeds, frequencies and damping times are as uncertain as it is")
+    if not values.get("correspond", True):
+        yield warning("points", "do not correspond from frame to frame: tracks and coordinates cannot be scored")
     if len(unseen := np.flatnonzero(~visible.any(1))):
         what = count(unseen >= 0, "frame")
         yield warning("visible", f"is False for every point in {what}, first in frame {unseen[0]}: they cannot be scored")

@@ -37,6 +37,7 @@ _SHAPES = {  # the axes of each array; a letter is the same number everywhere
     "visible": "TN",
     "motion_valid": "TN",
     "controllers": "LC3",
+    "actuation": "LA",
     "surface": "S3",
     "interior": "I3",
     "colors": "TN3",
@@ -44,9 +45,9 @@ _SHAPES = {  # the axes of each array; a letter is the same number everywhere
     "grips": "C",
     "tracks": "LK3",
 }
-_AXES = {"T": "frames", "L": "frames", "N": "points", "C": "controllers", "S": "points", "I": "points", "K": "tracks"}
+_AXES = {"T": "frames", "L": "frames", "N": "points", "C": "controllers", "A": "inputs", "S": "points", "I": "points", "K": "tracks"}
 _FLAGS = ("visible", "motion_valid")
-_MAY_BE_NONE = ("colors", "grips", "tracks")
+_MAY_BE_NONE = ("colors", "actuation", "grips", "tracks")
 
 
 def observed_rules(values: Mapping[str, Any]) -> Findings:
@@ -75,7 +76,7 @@ def _rules(values, shapes):
             if array is not None:
                 good[name] = array
     yield from _lengths(good)
-    for name in ("controllers", "surface", "interior", "gravity"):
+    for name in ("controllers", "actuation", "surface", "interior", "gravity"):
         if name in good and (yield from _finite(name, good[name])):
             del good[name]
     if {"points", "visible"} <= set(good) and (yield from _points(good["points"], good["visible"])):
@@ -89,7 +90,10 @@ def _rules(values, shapes):
     fps = values.get("fps", 1.0)
     if isinstance(fps, (bool, np.bool_)) or not isinstance(fps, Real) or not 0 < fps <= MAX_FPS:
         yield error("fps", f"must be a number > 0 and at most {MAX_FPS:g} frames per second, got {shown(fps)}")
-    for name, kind in (("object", str), ("session", str), ("self_collision", (bool, np.bool_))):
+    if values.get("correspond", True) is False and "motion_valid" in good and good["motion_valid"].any():
+        yield error("motion_valid", f"must be False where points do not correspond, got {count(good['motion_valid'], 'motion')}")
+    flags = {name: (bool, np.bool_) for name in ("self_collision", "timed", "correspond")}
+    for name, kind in {"object": str, "session": str, **flags}.items():
         if name in values and not isinstance(values[name], kind):
             yield error(name, f"must be a {'str' if kind is str else 'bool'}, got {shown(values[name])}")
     return good
@@ -127,7 +131,7 @@ def _finite(name, array):
     if (bad := ~np.isfinite(array)).any():
         yield error(name, f"must be finite, got NaN or infinity in {count(bad.any(-1), 'row')}")
         return True
-    return name != "gravity" and (yield from _near(name, array, bad))
+    return name not in ("actuation", "gravity") and (yield from _near(name, array, bad))
 
 
 def _near(name, array, empty):

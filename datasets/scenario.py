@@ -101,8 +101,11 @@ class Observed:
     surface, interior (S, 3), (I, 3) further structure points of frame 0 that were not tracked
     colors            (F, N, 3) RGB in [0, 1], or None
     fps               frames per second
+    timed             whether ``fps`` was recorded; False: it is what the frames were meant to be at, and a method may fit it
+    correspond        whether point n is the same piece of the body in all frames; False: clouds, of which each frame has its own
     gravity           (3,) m/s^2
     ground            the table, or None where there is none
+    actuation         (T, A) further inputs, such as angles of motors in the body, known for the whole recording, in its own units; or None
     grips             (C,) the tracked point that controller c *is* (a driven marker), or -1 (a hand near the body)
     self_collision    whether the object can touch itself (the published cloth configuration)
     object            names the physical thing; recordings of one object share it
@@ -118,8 +121,11 @@ class Observed:
     interior: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     colors: np.ndarray | None = None
     fps: float = 30.0
+    timed: bool = True
+    correspond: bool = True
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 9.8]))
     ground: Plane | None = None
+    actuation: np.ndarray | None = None
     grips: np.ndarray | None = None
     self_collision: bool = False
     object: str = ""
@@ -150,6 +156,13 @@ class Observed:
     def structure(self) -> np.ndarray:
         """(M, 3) frame-0 particles in the order tracked | surface | interior, metres."""
         return np.concatenate([self.points[0], self.surface, self.interior])
+
+    @property
+    def known(self) -> np.ndarray:
+        """(M,) which of the structure was seen in frame 0 or is supplied; of clouds the supplied part alone, where there is one."""
+        supplied = len(self.surface) + len(self.interior)
+        seen = self.visible[0] if self.correspond or not supplied else np.zeros(len(self.visible[0]), bool)
+        return np.concatenate([seen, np.ones(supplied, bool)])
 
     @property
     def counts(self) -> tuple[int, int, int]:

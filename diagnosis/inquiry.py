@@ -145,11 +145,13 @@ def inquire(
     """Fit the twin, score every hypothesis, refit the best.
 
     Frames of ``case`` from ``train_end`` on, and ``transfer``, are simulated and compared but never fitted. Raises ValueError where the
-    case has too few frames or nothing that moves.
+    case has too few frames or nothing that moves, and for clouds.
     """
     preset = PRESETS[preset] if isinstance(preset, str) else preset
     frames = len(case.points)
     train = train_end if train_end and train_end < frames else int(UNHELD * frames)
+    if clouds := [one.name for one in (case, *transfer, *fitted_on) if not one.correspond]:
+        raise ValueError(f"{clouds[0]}: a diagnosis needs points that correspond from frame to frame, got clouds")
     if train < 8:
         raise ValueError(f"{case.name}: a diagnosis needs at least 8 frames that may be fitted, got {train}")
     replicas = [build_replica(case, nodes=preset.nodes, fitted=train)]

@@ -24,18 +24,21 @@ class CoordinateError(Metric):
 
     The figure that DEFORM reports (Chen et al., CoRL 2024, arXiv 2406.05931). It compares point i with predicted particle i, so it is
     NaN for a twin whose tracked particles are not the recording's points (a twin brought over from another recording of a
-    textured body): where the numbers of points differ, or most points of frame 0 lie nearer to another's particle than to their own.
+    textured body): where the numbers of points differ, or most points of frame 0 lie nearer to another's particle than to their own;
+    and for clouds, whose points do not correspond.
     """
 
     name, unit, direction, version = "coordinate_error", "m", "lower", 1
 
     def per_frame(self, prediction, scenario, frames):
-        if not _corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0]):
+        if not (scenario.correspond and _corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0])):
             return [np.nan] * len(frames)
         seen = scenario.visible
         return [mean_absolute_difference(scenario.points[t][seen[t]], prediction.tracked[t][seen[t]]) for t in frames]
 
     def reason(self, prediction, scenario, frame):
+        if not scenario.correspond:
+            return "the recording has clouds, whose points do not correspond"
         if not _corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0]):
             return "the twin's particles are not the recording's points"
         return super().reason(prediction, scenario, frame)

@@ -61,7 +61,21 @@ def softbeam(root):
     return root
 
 
-FOLDERS = {"deform": deform, "deft": deft, "softbeam": softbeam, "phystwin": lambda root: folder_of("sample")}
+def diffcloud(root):
+    from clips import write
+
+    write(root, "fold"), write(root, "lift", times=2)
+    return root
+
+
+def trunk(root):
+    from releases import folder
+
+    return folder(root)
+
+
+FOLDERS = {"deform": deform, "deft": deft, "diffcloud": diffcloud, "softbeam": softbeam, "trunk": trunk}
+FOLDERS["phystwin"] = lambda root: folder_of("sample")
 
 
 @pytest.fixture(scope="module")

@@ -239,7 +239,10 @@ def read_rows(folder):
         (["--methods", "all,quits"], "method 'quits' (quits 1.2, entry point twinbench.methods: quits) is left out: SystemExit: 3"),
         (["--methods", "stil"], "unknown method 'stil'; did you mean 'still'?"),
         (["--metrics", "d"], "metric 'd' (direction 1.2, entry point twinbench.metrics: direction) is left out: direction must be"),
-        (["--data", "folder"], "no recordings at folder: none of the layouts deform, deft, phystwin, softbeam, nowhere, bad recognises it"),
+        (
+            ["--data", "folder"],
+            "no recordings at folder: none of the layouts deform, deft, diffcloud, phystwin, softbeam, trunk, nowhere, bad recognises it",
+        ),
     ],
 )
 def test_asking_for_a_broken_plug_in_says_why_it_is_not_there(hostile, twinbench, tmp_path, arguments, says):

@@ -91,7 +91,7 @@ def _known(recording, where):
     """Points of the body in frame 0 that were seen, are driven or come from a shape prior, and their spacing [m]; no few markers."""
     from scipy.spatial import cKDTree
 
-    tracked = recording.visible[0].copy()
+    tracked = recording.known[: recording.counts[0]].copy()
     given = len(recording.surface) + len(recording.interior)
     if tracked.sum() < MARKERS * given:
         tracked[:] = False

@@ -16,38 +16,26 @@ from .problem import posed
 from .result import Fit
 from .robust import StudentT
 from .scene import REACH, SHIFT, Scene
+from .sights import CloudSight, Sight, sight_of
 from .simulate import Simulator
 from .unknowns import Unknown, members
 
-__all__ = ["Estimate", "Sight", "estimate", "unknowns_of"]
+__all__ = ["Estimate", "estimate", "unknowns_of"]
 
-ROUGH = 4.0  # times their noise, by which tracks are heard before it is known what can be predicted
-LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
 UNLOADINGS = 2  # times that a rest shape is solved before a refinement: from the search's stiffness, then from a better one
+RATES = 3.0  # times the rate that was meant, at most, that frames came at where it was not recorded, or as many times fewer
+TRIED_RATES = (1.0, 0.6, 1.6)  # times that rate, from which searches start
 MOMENT = 0.1  # s: frames so near say the same
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """What was seen of a scene: ``points`` (F, N, 3) m where ``seen`` (F, N), with ``noise`` m a coordinate."""
-
-    points: np.ndarray
-    seen: np.ndarray
-    noise: float
-
-    @classmethod
-    def of(cls, recording: Observed, frames: int | None) -> Sight:
-        count = recording.observed_frames if frames is None else min(frames, recording.observed_frames)
-        points, seen = recording.points[:count], recording.visible[:count].copy()
-        seen[:, recording.grips[recording.grips >= 0]] = False  # driven markers are told, not predicted
-        return cls(points, seen, max(LEAST_NOISE, jitter(points, seen)))
-
-
-@dataclass(frozen=True, eq=False)
 class Estimate:
-    """values by name, the ``fit`` that they come from, notes; ``spread`` (F, N) m for each recording: how far off a sound twin may be."""
+    """values by name, the ``fit`` that they come from, notes; ``spread`` (F, N) m for each recording: how far off a sound twin may be.
+
+    Of clouds it is (F, 1), and 0: which point of the body a point is, nobody knows.
+    """
 
     values: dict[str, float]
     fit: Fit
@@ -55,24 +43,20 @@ class Estimate:
     notes: tuple[str, ...]
 
 
-def jitter(points, seen) -> float:
-    """Standard deviation of a coordinate [m] from second differences in the quieter half of frames: var(a - 2 b + c) = 6 var."""
-    bends = points[2:] - 2 * points[1:-1] + points[:-2]
-    known = seen[2:] & seen[1:-1] & seen[:-2]
-    rows = [np.median(np.abs(b[k])) for b, k in zip(bends, known, strict=True) if k.any()]
-    return float(np.quantile(rows, 0.25) / 0.6745 / np.sqrt(6)) if rows else LEAST_NOISE
-
-
 def unknowns_of(scenes: Sequence[Scene], config: Config) -> list[Unknown]:
     """What is fitted of the material, and of each hand of each recording (``rec<r>_grip<k>_...``).
 
-    Priors: those of the kind of body, friction, and that a hand is where it is said to be to 5 mm.
+    Priors: those of the kind of body, friction, that a hand is where it is said to be to 5 mm, and that frames whose rate was not recorded
+    came at half to twice the rate that was meant.
     """
     log, body = np.log, scenes[0].body
     found = body.unknowns([scene.body for scene in scenes])
     if any(scene.ground is not None for scene in scenes):
         found.append(Unknown("coulomb_friction", 0.5, 0.05, 2.0, "-", "log", prior=(log(0.5), 0.5)))
     for r, scene in enumerate(scenes):
+        if not scene.timed:
+            low, high = scene.fps / RATES, scene.fps * RATES
+            found.append(Unknown(f"rec{r}_frame_rate", scene.fps, low, high, "1/s", "log", prior=(log(scene.fps), log(2.0))))
         for k in range(len(scene.hands)):
             if config.grips and k in scene.soft:
                 at = f"rec{r}_grip{k}"
@@ -121,11 +105,12 @@ def estimate(
         return tell
 
     options = dict(independent=task.independent, seed=seed)
-    rough = np.hypot(task.noise, ROUGH * min(s.noise for s in task.sights))
+    rough = np.hypot(task.noise, min(s.rough for s in task.sights))
     if begin:
         starts = np.array([[begin.get(u.name, u.value) for u in task.unknowns]])
     else:
-        starts = _scouted(coarse, kind.starts(bodies, recordings, task.unknowns, config), rough, config.starts)
+        starts = _timed(kind.starts(bodies, recordings, task.unknowns, config), task.unknowns)
+        starts = _scouted(coarse, starts, rough, config.starts)
     search = Steps(iterations=kind.iterations if config.iterations is None else config.iterations)
     found = fit(
         task.unknowns,
@@ -137,8 +122,9 @@ def estimate(
         progress=told("search", 0.0, 0.5, search.iterations),
         **options,
     )
-    spread = _spread(found, task, coarse, config.members, seed) if config.members else np.zeros(len(task.data))
-    heard = np.hypot(task.noise, spread) if config.members else rough
+    members = config.members and all(isinstance(s, Sight) for s in task.sights)
+    spread = _spread(found, task, coarse, config.members, seed) if members else np.zeros(len(task.data))
+    heard = np.hypot(task.noise, spread) if members else rough
     solved = UNLOADINGS if config.rest == "equilibrium" else 0
     for _ in range(max(1, solved) if config.refinement else 0):
         task = task.unloaded(recordings, found.values) if solved else task
@@ -147,8 +133,8 @@ def estimate(
         found = fit(
             task.unknowns, task.simulate, task.data, heard, starts=at, steps=Steps(iterations=config.refinement), progress=tell, **options
         )
-    cuts = np.cumsum([s.points.size for s in task.sights])[:-1]
-    each = [part.reshape(s.points.shape).mean(2) for part, s in zip(np.split(spread, cuts), task.sights, strict=True)]
+    cuts = np.cumsum([s.data.size for s in task.sights])[:-1]
+    each = [s.each(part) for part, s in zip(np.split(spread, cuts), task.sights, strict=True)]
     return Estimate(task.fixed | found.values, found, tuple(each), found.notes)
 
 
@@ -158,14 +144,14 @@ class Task:
 
     unknowns: tuple[Unknown, ...]
     simulators: tuple[Simulator, ...]
-    sights: tuple[Sight, ...]
+    sights: tuple[Sight | CloudSight, ...]
     fixed: dict[str, float]
 
     @classmethod
     def of(cls, recordings, scenes, config, extra, extra_unknowns, fixed, device) -> Task:
         unknowns = tuple(u for u in [*unknowns_of(scenes, config), *extra_unknowns] if u.name not in fixed)
         simulators = tuple(Simulator(scene, extra, device) for scene in scenes)
-        return cls(unknowns, simulators, tuple(Sight.of(one, config.frames) for one in recordings), fixed)
+        return cls(unknowns, simulators, tuple(sight_of(one, config.frames) for one in recordings), fixed)
 
     def coarser(self, recordings, times: float) -> Task:
         """The same in cells ``times`` as large."""
@@ -183,25 +169,27 @@ class Task:
     @property
     def data(self) -> np.ndarray:
         """(R,) m."""
-        return np.concatenate([s.points.ravel() for s in self.sights])
+        return np.concatenate([s.data for s in self.sights])
 
     @property
     def noise(self) -> np.ndarray:
-        """(R,) m, infinite where a track was not seen."""
-        return np.concatenate([np.where(np.repeat(s.seen.ravel(), 3), s.noise, np.inf) for s in self.sights])
+        """(R,) m, infinite where nothing was seen."""
+        return np.concatenate([s.deviations for s in self.sights])
 
     @property
     def independent(self) -> float:
         """How many data are independent: tracks of a region within a moment say the same."""
-        moments = [len(s.points) / (MOMENT * one.scene.fps) for s, one in zip(self.sights, self.simulators, strict=True)]
-        return float(min(3 * REGIONS * sum(moments), np.isfinite(self.noise).sum()))
+        moments = {1: 0.0, 3: 0.0}  # by the data that a place has at a time
+        for sight, one in zip(self.sights, self.simulators, strict=True):
+            moments[sight.dimensions] += sight.frames / (MOMENT * one.scene.fps)
+        return float(min(sum(n * REGIONS * m for n, m in moments.items()), np.isfinite(self.noise).sum()))
 
     def predict(self, rows) -> np.ndarray:
         """(B, R) m, of dicts of values."""
         found = []
         for r, (runner, sight) in enumerate(zip(self.simulators, self.sights, strict=True)):
-            paths = runner.run([own_values(self.fixed | row, r) for row in rows], len(sight.points))
-            found.append(paths[:, :, : sight.points.shape[1]].reshape(len(rows), -1))
+            paths = runner.run([own_values(self.fixed | row, r) for row in rows], sight.frames)
+            found.append(sight.predicted(paths))
         return np.concatenate(found, 1)
 
     def simulate(self, values) -> np.ndarray:
@@ -251,6 +239,16 @@ def _blocks(sight: Sight, record: int):
     places = np.nan_to_num(sight.points[0])
     label = kmeans2(places, min(REGIONS, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
     return np.tile(np.repeat(record * REGIONS + label, 3), len(sight.points))
+
+
+def _timed(starts, unknowns):
+    """``starts`` (K, n), each also with lower and higher rates of frames where these are unknown."""
+    own = [k for k, u in enumerate(unknowns) if u.name.endswith("_frame_rate")]
+    if not own:
+        return starts
+    found = np.repeat(starts[None], len(TRIED_RATES), 0)
+    found[:, :, own] *= np.array(TRIED_RATES)[:, None, None]
+    return found.reshape(-1, len(unknowns))
 
 
 def _scouted(task: Task, starts, rough, count: int):

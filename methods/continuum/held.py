@@ -53,8 +53,7 @@ def firmness_of(recording: Observed, number: int, hand, radius: float) -> tuple[
     firmness[driven[driven >= 0]] = 1.0
     if not len(free):
         return firmness, ()
-    known = np.ones(len(structure), bool)
-    known[: recording.counts[0]] = recording.visible[0]
+    known = recording.known
     distance = cKDTree(recording.controllers[0, free]).query(structure)[0]
     near = known & (distance < 1.5 * radius)
     moves, notes = _moves_along(recording, hand, np.flatnonzero(near), radius, distance)
@@ -72,6 +71,8 @@ def _moves_along(recording, hand, near, radius, distance):
     seen = np.flatnonzero(recording.visible[0])
     seen = seen[distance[seen] < 3 * radius]
     way = _way(hand, recording.observed_frames)
+    if not recording.correspond:
+        return np.ones(len(near)), ("points do not correspond from frame to frame: what it holds is told by distance alone",)
     if not len(near) or not len(seen) or not (way > MOVED).any():
         return np.ones(len(near)), ("it does not move, or nobody was seen near it: what it holds is told by distance alone",)
     tracks = np.where(recording.visible[:, seen, None], recording.points[:, seen], np.nan)

@@ -36,7 +36,7 @@ class Scene:
 
     body       in frame 0
     hands      as they move in the recording, ``controllers`` (T, C, 3) and ``grips`` (C,) as in it; ``radius`` of a grip
-    gravity    (3,) m/s^2; ground or None; fps
+    gravity    (3,) m/s^2; ground or None; fps, and whether that was recorded (``timed``)
     counts     of tracked, surface and interior structure points
     speeds     of the body in frame 0, or None: at rest
     contact    whether layers or strands of the body meet
@@ -55,6 +55,7 @@ class Scene:
     speeds: Speeds | None = None
     contact: bool = False
     notes: tuple[str, ...] = ()
+    timed: bool = True
 
     @classmethod
     def of(
@@ -68,7 +69,7 @@ class Scene:
         hands = hands_of(recording, radius=radius)
         known = dict(counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity)
         known |= dict(ground=_below(recording.ground, body), fps=recording.fps)
-        known |= dict(speeds=speeds, contact=contact)
+        known |= dict(speeds=speeds, contact=contact, timed=recording.timed)
         notes = (*body.notes, *notes, *(n for hand in hands for n in hand.notes))
         return cls(recording.name, body, hands=hands, radius=radius, notes=notes, **known)
 

@@ -223,10 +223,10 @@ def on_the_sheet(nodes, triangles, most: float) -> np.ndarray:
 def _known(recording, frames):
     """((M,) which structure points were seen in frame 0 or are supplied, their tracks (T, K, 3) m, NaN where not seen or no tracks)."""
     count = recording.counts[0]
-    known = np.ones(len(recording.structure), bool)
-    known[:count] = recording.visible[0]
-    known &= np.isfinite(recording.structure).all(1)
+    known = recording.known & np.isfinite(recording.structure).all(1)
     tracks = np.full((len(frames), int(known.sum()), 3), np.nan)
+    if not recording.correspond:
+        return known, tracks
     seen = recording.visible[: len(frames), :, None]
     tracks[:, : int(known[:count].sum())] = np.where(seen, frames, np.nan)[:, known[:count]]
     return known, tracks

@@ -35,7 +35,8 @@ class Simulator:
     """Runs of a scene.
 
     ``values`` are dicts with the values of the body's kind, any parameter of a term by its name, and for hand k ``grip<k>_shift_x, _y, _z``
-    [m] and ``grip<k>_reach``; what is not there has its usual value. ``extra`` are further terms.
+    [m] and ``grip<k>_reach``; ``frame_rate`` [1/s] where the scene's is not known; what is not there has its usual value.
+    ``extra`` are further terms.
     """
 
     scene: Scene
@@ -74,6 +75,9 @@ class Simulator:
 
         ``controllers`` (T, C, 3) [m] move otherwise than in the recording, if given.
         """
+        rates = np.array([v.get("frame_rate", self.scene.fps) for v in values])
+        if (rates != self.scene.fps).any():
+            return self._timed(values, rates, frames, controllers)
         values = [self._complete(v) for v in values]
         bodies = [self.scene.body.under(v) for v in values]
         if any(body is not self.scene.body for body in bodies):  # frame 0 is under another strain in each
@@ -83,6 +87,9 @@ class Simulator:
 
     def penetrations(self, values, frames: int) -> Penetrations:
         """How far layers or strands went into each other in a run."""
+        rate = values.get("frame_rate", self.scene.fps)
+        if rate != self.scene.fps:
+            return Simulator(replace(self.scene, fps=rate), self.extra, self.device).penetrations(values, frames)
         one = self._complete(values)
         other = self._of(self.scene.body.under(one), self._known_steps)
         return penetrations(self.system, other._nodes([one], frames)[0].double().cpu().numpy(), self.scene.body.thickness)
@@ -94,6 +101,17 @@ class Simulator:
             if self.scene.launch is not None and self.scene.launch.field is not None:
                 inputs = replace(inputs, v=self._corrected(batch, inputs))
             return batch.split(torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]]))
+
+    def _timed(self, values, rates, frames, controllers):
+        """What ``run`` returns where frames come at ``rates`` (B,) a second, those of one rate together."""
+        found = [None] * len(values)
+        for rate in np.unique(rates):
+            own, known_steps = np.flatnonzero(rates == rate), self._known_rates.setdefault(_no_faster(rate), {})
+            other = Simulator(replace(self.scene, fps=float(rate)), self.extra, self.device)
+            vars(other).update(system=self.system, _known_steps=known_steps, _rate_of_steps=_no_faster(rate))
+            for k, path in zip(own, other.run([values[k] for k in own], frames, controllers), strict=True):
+                found[k] = path
+        return np.stack(found)
 
     def settle(self, values) -> np.ndarray:
         """(N, 3) m, where the nodes come to rest while hands stay as they are in frame 0.
@@ -199,10 +217,10 @@ class Simulator:
         if key not in self._known_steps:
             stiffest = self.scene.body.stiffened(self.system.with_values(**most), most)
             stiffest = replace(stiffest, terms=[t for t in stiffest.terms if t.stage != "layer"])
-            substeps = stable_substeps([stiffest], 1 / self.scene.fps)
+            substeps = stable_substeps([stiffest], 1 / self._rate_of_steps)
             while True:
                 try:
-                    self._known_steps[key] = substeps, stable_rounds(stiffest, 1 / (self.scene.fps * substeps))
+                    self._known_steps[key] = substeps, stable_rounds(stiffest, 1 / (self._rate_of_steps * substeps))
                     break
                 except ValueError:
                     substeps = -int(-1.5 * substeps // 1)
@@ -211,6 +229,16 @@ class Simulator:
     @cached_property
     def _known_steps(self) -> dict:
         return {}
+
+    @cached_property
+    def _known_rates(self) -> dict:
+        """Of each rate the steps that are known."""
+        return {}
+
+    @cached_property
+    def _rate_of_steps(self) -> float:
+        """Frames a second by which substeps are chosen."""
+        return self.scene.fps
 
     def _observed(self, path):
         """(T, M, 3) structure points of a path (T, N, 3) of the nodes, NaN once it blew up."""
@@ -222,3 +250,8 @@ class Simulator:
         found = self.scene.body.followed(np.concatenate([path[:whole], np.repeat(path[:1], len(path) - whole, 0)]))
         found[whole:] = np.nan
         return found
+
+
+def _no_faster(rate):
+    """A rate of frames at most a tenth lower, the same for all that are near: a search keeps its substeps."""
+    return 1 / rounded_up(1 / rate)

@@ -58,6 +58,8 @@ def starts_at_rest(recording: Observed) -> Start:
     The latter is a body that sets off in frame 0, as its hand does or because it is let go. The tracks' velocities are averaged as an
     affine field, so that noise hardly enters. Fewer than three frames say nothing: they are taken for a rest.
     """
+    if not recording.correspond:
+        return Start(True, 0.0, float("inf"), 0.0, "clouds, whose points do not correspond, say nothing; rest is assumed")
     if recording.observed_frames < FIRST:
         return Start(True, 0.0, float("inf"), 0.0, f"fewer than {FIRST} frames were observed and say nothing; rest is assumed")
     seen = recording.visible[:FIRST].all(0)
@@ -112,6 +114,8 @@ def seen_velocity(recording: Observed) -> Speeds:
 
 def _seen_twice(recording):
     """(N,) bool, the tracks that were seen in frames 0 and 1."""
+    if not recording.correspond:
+        raise ValueError(f"a start velocity needs points that correspond from frame to frame, got clouds (scenario {recording.name})")
     if recording.observed_frames < 2:
         raise ValueError(f"a start velocity needs two observed frames, got {recording.observed_frames} (scenario {recording.name})")
     seen = recording.visible[:2].all(0)

@@ -70,6 +70,8 @@ class ContinuumTwin(Twin):
         there = placed(first, body.laid(first), Config(start=start, contact=contact), target)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
         values |= self._grips(there)
+        if target.timed:
+            values.pop("frame_rate", None)
         if body.is_loaded and not there.body.is_loaded:
             there = Simulator(there, self.extra, self.device).unloaded(first, values)
         return replace(self, scene=there, values=values)
@@ -98,7 +100,7 @@ class ContinuumTwin(Twin):
             arrays |= {f"speeds_{f.name}": np.array(getattr(scene.speeds, f.name)) for f in fields(Speeds)}
         for k, hand in enumerate(scene.hands):
             arrays |= {f"hand{k}_{f.name}": getattr(hand, f.name) for f in fields(Hand) if f.name not in ("turns", "notes")}
-        state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "notes")}
+        state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "timed", "notes")}
         state |= dict(contact=scene.contact, kind=scene.body.kind, elements=scene.body.elements, body_notes=scene.body.notes)
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
@@ -119,7 +121,7 @@ class ContinuumTwin(Twin):
         known = {name: arrays[name] for name in ("controllers", "grips", "gravity")}
         speeds = {f.name: arrays[f"speeds_{f.name}"] for f in fields(Speeds) if f"speeds_{f.name}" in arrays}
         known |= dict(speeds=Speeds(**speeds) if speeds else None)
-        known |= {name: state[name] for name in ("name", "radius", "fps", "contact")}
+        known |= {name: state[name] for name in ("name", "radius", "fps", "timed", "contact")}
         scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
         return cls(scene, state["values"], extra, state["posterior"], state["device"])

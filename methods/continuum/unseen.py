@@ -49,7 +49,7 @@ def shortest_chord(recording: Observed, length: float) -> float:
     from scipy.spatial import cKDTree
 
     seen = np.flatnonzero(recording.visible[0])
-    if len(recording.points) < 2 or not len(seen):
+    if len(recording.points) < 2 or not len(seen) or not recording.correspond:
         return float("nan")
     tracks = np.where(recording.visible[:, seen, None], recording.points[:, seen], np.nan)
     with warnings.catch_warnings():

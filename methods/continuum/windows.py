@@ -20,6 +20,7 @@ def window(recording: Observed, first: int, last: int) -> Observed:
     cut = {name: getattr(recording, name)[first:last] for name in ("points", "visible", "motion_valid")}
     cut |= dict(colors=None if recording.colors is None else recording.colors[first:last], cameras=(), images=None)
     cut |= dict(controllers=recording.controllers[first:])
+    cut |= dict(actuation=None if recording.actuation is None else recording.actuation[first:])
     if first:
         cut |= dict(surface=np.zeros((0, 3)), interior=np.zeros((0, 3)))
     return replace(recording, **cut)

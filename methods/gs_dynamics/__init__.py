@@ -74,6 +74,8 @@ class GSDynamics(Method):
         return replace(config, node_radius=config.node_radius * scale, adjacency=config.adjacency * scale)
 
     def skip(self, scenario) -> str | None:
+        if not scenario.correspond:
+            return "it is trained on tracks, and the recording has clouds, whose points do not correspond"
         return None if scenario.controllers.shape[1] else "steps are counted by tool travel, and the recording has no controllers"
 
 

@@ -65,6 +65,8 @@ class PhysTwin(Method):
     def skip(self, scenario) -> str | None:
         from .ranges import ranges
 
+        if not scenario.correspond:
+            return "it is fitted to tracks, and the recording has clouds, whose points do not correspond"
         quirks = self.presets["full"].quirks
         if quirks.long_frame and abs(scenario.fps - 30) > 0.5:
             return f"the published step makes a frame 33.35 ms long, for 30 frames/s, and this recording has {scenario.fps:g}"

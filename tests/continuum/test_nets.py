@@ -58,7 +58,9 @@ def test_steps_follow_the_stiffness(recording):
     simulator = Simulator(Scene.of(recording, net_of(recording)))
     soft, stiff = (simulator._complete(dict(youngs_modulus=e, damping_time=0.0)) for e in (1e5, 16e5))
     steps = [simulator._steps(v)[0] for v in (soft, stiff)]
-    assert steps[1] == pytest.approx(4 * steps[0], rel=0.15)  # as the root of the stiffness; a firm grip, which is the same in both, counts little here
+    assert steps[1] == pytest.approx(
+        4 * steps[0], rel=0.15
+    )  # as the root of the stiffness; a firm grip, which is the same in both, counts little here
     exact = simulator.system.with_values(body_stiffness=1e5)
     exact = replace(exact, stiffness=exact.stiffness * 1e5)
     assert steps[0] >= stable_substeps([exact], 1 / 30)

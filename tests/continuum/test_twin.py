@@ -8,8 +8,9 @@ from blocks import FRAMES, lifted
 from scipy.spatial.transform import Rotation
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
-from twinbench.methods.continuum.estimate import Sight, estimate, jitter, own_values
+from twinbench.methods.continuum.estimate import estimate, own_values
 from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.sights import Sight, jitter
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.solids import Solid
 from twinbench.methods.continuum.twin import ContinuumTwin
