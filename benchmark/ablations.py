@@ -111,7 +111,7 @@ ABLATIONS = {
     ),
     "clips": Ablation(
         "twins of 1, 2, 5, 10 and 30 recordings of the object, as far as there are so many",
-        ("rigid", *_clips("phystwin"), *_clips("gs-dynamics")),
+        ("rigid", *_clips("phystwin"), *_clips("gs-dynamics"), *_clips("continuum")),
         tasks=(),
     ),
     "clips-as-published": Ablation(

@@ -55,7 +55,7 @@ def test_every_ablation_makes_its_methods(name):
 
 
 def test_the_ablations_of_the_paper_are_there():
-    assert {"stages", "stages-as-published", "quirks", "clips", "cameras", "tracks"} <= set(ABLATIONS)
+    assert {"stages", "stages-as-published", "quirks", "clips", "meshes", "classes", "grips", "cameras", "tracks"} <= set(ABLATIONS)
     stages = {key: method().stages for key, method in ABLATIONS["stages-as-published"].methods().items()}
     assert list(stages.values()) == [("zero", "first"), ("zero",), ("first",)]
     published = get_method("phystwin-as-published").presets

@@ -22,7 +22,7 @@ class Continuum(Method):
     name = "continuum"
     presets: ClassVar = {
         "quick": Config(),
-        "full": Config(starts=5, iterations=16, refinement=10, recordings=12, members=16),
+        "full": Config(starts=5, iterations=16, refinement=10, more=4, members=16),
     }
 
     @property

@@ -23,6 +23,7 @@ class Config:
                 those of ``pitch``
     coarse      how many times as large cells are in the search
     recordings  that are fitted jointly, at most; None: as many as suit the kind of body
+    more        times as many recordings as suit the kind of body, where ``recordings`` does not say
     seconds     of each that are fitted, from any frame in which the whole body is known; None: as suits the kind, or all
     start       how a recording starts: at "rest", as its first "frames" say, or "auto": so where frame 0 is no rest (``start``)
     rest        shape: frame 0 "as it lies", or solved such that frame 0 is an "equilibrium" under gravity, ground and grips
@@ -39,6 +40,7 @@ class Config:
     refinement: int = 4
     coarse: float = 1.5
     recordings: int | None = None
+    more: float = 1.0
     seconds: float | None = None
     start: str = "auto"
     rest: str = "as it lies"

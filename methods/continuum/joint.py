@@ -23,7 +23,8 @@ def scenes_of(observed: Sequence[Observed], config: Config, *, seed: int = 0) ->
     The first recording is among them, the others spread over all. A window that begins later starts as it moves there.
     """
     first = bodies_of(observed[:1], times=config.pitch, elements=config.elements)[0]
-    most, seconds = config.recordings or first.recordings, config.seconds or first.seconds
+    most = config.recordings or round(config.more * first.recordings)
+    seconds = config.seconds or first.seconds
     used = spread_evenly(observed, most)
     bodies = bodies_of(used, kind=first.kind, times=config.pitch, elements=config.elements)
     random, windows, scenes = np.random.default_rng(seed), [], []
