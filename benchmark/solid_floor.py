@@ -75,11 +75,11 @@ def felt(script: Script, recording: Observed, places: np.ndarray, turns: np.ndar
     hands = []
     for k, hand in enumerate(script.hands):
         seen, since = told[own[k]], turns[:, k] @ turns[0, k].T
-        carried = places[:, k] + np.einsum("tij,j->ti", since, seen.centre[0] - places[0, k])
+        carried = seen.carried(places[:1, k])[:, 0]
         astray = Rotation.from_matrix(np.swapaxes(since, 1, 2) @ seen.rotation)  # in the axes of frame 0: Q with R_told = R_true Q
         astray = Rotation.from_matrix(since) * astray * Rotation.from_matrix(since).inv()
         known = {name: getattr(hand, name) for name in Interaction.__dataclass_fields__}
-        hands.append(Felt(**known, shift=to_world(seen.centre - carried), turn=to_world(astray.as_rotvec())))
+        hands.append(Felt(**known, shift=to_world(carried - places[:, k]), turn=to_world(astray.as_rotvec())))
     return replace(script, hands=tuple(hands))
 
 
