@@ -34,31 +34,30 @@ def told(label: dict, grid_axes) -> tuple[tuple, list[Unknown], dict]:
     effect, known = label["effect"], label["parameters"]
     place = next((p for p in label["place"] if p), None)
     if effect == "viscoelastic":
-        amounts = [Unknown("maxwell_share", 0.5, 0.0, 20.0, "-", prior=(0.0, 5.0)), Unknown("maxwell_time", 0.15, 0.01, 2.0, "s", "log")]
-        return (terms.Maxwell(),), amounts, {}
+        return (terms.Maxwell(),), [_amount("maxwell_share", 1.0, 0.05, 20.0, "-"), _amount("maxwell_time", 0.15, 0.01, 2.0, "s")], {}
     if effect == "added_mass":
         at = {f"added_mass_{axis}": float(c) for axis, c in zip("xyz", place["centroid"], strict=True)}
-        return (
-            (terms.AddedMass(),),
-            [Unknown("added_mass", 0.1, 0.0, 5.0, "-", prior=(0.0, 1.0))],
-            at | {"added_mass_within": place["radius"]},
-        )
+        return (terms.AddedMass(),), [_amount("added_mass", 0.2, 0.01, 10.0, "-")], at | {"added_mass_within": place["radius"]}
     if effect == "wind":
-        return (terms.Wind(),), [Unknown(f"wind_{axis}", 0.0, -20.0, 20.0, "m/s^2", prior=(0.0, 3.0)) for axis in "xyz"], {}
+        return (terms.Wind(),), [Unknown(f"wind_{axis}", 0.0, -20.0, 20.0, "m/s^2") for axis in "xyz"], {}
     if effect == "anisotropy":
         x, y, z = np.asarray(grid_axes) @ np.asarray(known["axis_frame0"])
         way = {"fibre_azimuth": float(np.arctan2(y, x)), "fibre_elevation": float(np.arcsin(np.clip(z, -1, 1))), "fibre_compression": 1.0}
-        return (terms.Fibres(),), [Unknown("fibre_share", 0.5, 0.0, 50.0, "-", prior=(0.0, 5.0))], way
+        return (terms.Fibres(),), [_amount("fibre_share", 1.0, 0.05, 50.0, "-")], way
     if effect == "compression_softening":
-        return (terms.TensionCompression(),), [Unknown("tension_share", 0.1, -0.8, 0.8, "-", prior=(0.0, 0.5))], {}
+        return (terms.TensionCompression(),), [Unknown("tension_share", 0.1, -0.8, 0.8, "-")], {}
     if effect == "grip_compliance":
-        rate = Unknown("grip_rate", 300.0, 20.0, 1500.0, "1/s", "log")
-        return (), [rate, Unknown("grip_damping", 0.2, 0.0, 2.0, "-", prior=(0.2, 0.5))], {}
+        return (), [_amount("grip_rate", 100.0, 5.0, 1500.0, "1/s"), Unknown("grip_damping", 0.3, 0.0, 2.0, "-")], {}
     if effect == "quadratic_drag":
-        return (terms.QuadraticDrag(),), [Unknown("quadratic_drag", 0.2, 0.0, 20.0, "1/m", prior=(0.0, 3.0))], {}
+        return (terms.QuadraticDrag(),), [_amount("quadratic_drag", 3.0, 0.05, 1000.0, "1/m")], {}
     if effect == "creep":
-        return (terms.NortonCreep(),), [Unknown("norton_rate", 0.5, 0.0, 20.0, "1/s", prior=(0.0, 5.0))], {}
+        return (terms.NortonCreep(),), [_amount("norton_rate", 1.0, 0.05, 20.0, "1/s")], {}
     raise KeyError(effect)
+
+
+def _amount(name, value, low, high, unit):
+    """An amount of which nothing is known but its order: an oracle that is told an effect has no opinion on its size."""
+    return Unknown(name, value, low, high, unit, "log")
 
 
 def case_row(folder: str, case: str, seed: int = 0) -> dict:
