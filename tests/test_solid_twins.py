@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from twinbench.benchmark.solid_oracle import told
+from twinbench.benchmark.solid_oracle import simulated, told
 from twinbench.benchmark.solid_twins import errors, summary
 
 PLACE = [{"centroid": [0.01, 0.02, 0.03], "radius": 0.04}] * 2
@@ -52,3 +52,33 @@ def test_fibres_are_told_their_direction_in_the_grids_axes():
 def test_an_effect_that_no_term_says_is_refused():
     with pytest.raises(KeyError, match="magnetism"):
         told(dict(effect="magnetism", parameters={}, place=[None]), np.eye(3))
+
+
+BODY = dict(young=2e4, density=80.0, poisson=0.3, damping=0.01, drag=0.5, friction=0.4, area_m2=0.03, mass_kg=0.02)
+AMOUNTS = {
+    "viscoelastic": dict(ratio=3.0, time_s=0.2),
+    "added_mass": dict(added_g=5.0),
+    "wind": dict(velocity_m_s=[1.0, 0.5, 0.0], coefficient_kg_m3=2.4),
+    "quadratic_drag": dict(coefficient_kg_m3=24.0),
+    "creep": dict(time_s=0.5),
+}
+
+
+@pytest.mark.parametrize("effect", AMOUNTS)
+def test_what_an_oracle_is_told_can_be_what_was_simulated(effect):
+    # every amount that is fitted has a true value, within what is searched; a density of 80 makes E at 100 kg/m^3 1.25 times as large
+    place = dict(centroid=[0.1, 0.0, 0.0], radius=0.04)
+    label = dict(effect=effect, parameters=AMOUNTS[effect], place=[place, place], body=BODY)
+    extra, amounts, _ = told(label, np.eye(3))
+    true = simulated(label)
+    assert true["youngs_modulus"] == pytest.approx(2.5e4)
+    assert amounts and all(u.low <= true[u.name] <= u.high for u in amounts)
+    assert {u.name for u in amounts} <= {p.name for term in extra for p in term.parameters}
+
+
+def test_the_pull_of_a_wind_is_that_of_the_drag_equation():
+    # F = c A |w - v| (w - v), by a unit of mass, on what is at rest: 2.4 * 0.03 / 0.02 * |w| w
+    label = dict(effect="wind", parameters=AMOUNTS["wind"], body=BODY)
+    true, speed = simulated(label), np.hypot(1.0, 0.5)
+    assert [true[f"wind_{axis}"] for axis in "xyz"] == pytest.approx([3.6 * speed, 1.8 * speed, 0.0])
+    assert true["wind_speed"] == pytest.approx(speed)
