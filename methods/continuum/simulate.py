@@ -25,6 +25,7 @@ GRIP = ("shift_x", "shift_y", "shift_z", "reach")  # of each hand: m, and radius
 FIRM = 1500.0  # 1/s: what is held firmly follows within a millimetre; a hand that gives way is an effect
 HARD = 0.5  # of the highest angular frequency of the body, that of contact with itself: such a node is 1.25 times as stiff
 LONGEST = 600  # frames
+FAR = 1e3  # m
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
 LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
 LIMITING = ("setup", "axial", "hinge", "facet", "solid", "viscous", "membrane", "plate", "grip", "touch")  # stages that limit substeps
@@ -95,8 +96,20 @@ class Simulator:
         return penetrations(self.system, other._nodes([one], frames)[0].double().cpu().numpy(), self.scene.body.thickness)
 
     def _nodes(self, values, frames, controllers=None):
-        """Paths (frames, N, 3) m of the nodes, for each of complete ``values``."""
-        batch, inputs = self._batch(values, frames, controllers)
+        """Paths (frames, N, 3) m of the nodes, for each of complete ``values``; one that blows up is run again in steps half as long.
+
+        Steps are chosen where a body is at rest. Cells that are crushed or folded are stiffer, slivers among them most.
+        """
+        found = list(self._marched(values, frames, controllers))
+        lost = [k for k, path in enumerate(found) if not _sane(path).all()]
+        if lost:
+            again = self._marched([values[k] for k in lost], frames, controllers, times=2)
+            for k, path in zip(lost, again, strict=True):
+                found[k] = path
+        return found
+
+    def _marched(self, values, frames, controllers, times=1):
+        batch, inputs = self._batch(values, frames, controllers, times)
         with torch.no_grad():
             if self.scene.launch is not None and self.scene.launch.field is not None:
                 inputs = replace(inputs, v=self._corrected(batch, inputs))
@@ -152,10 +165,10 @@ class Simulator:
             vars(other)["_known_steps"] = known_steps
         return other
 
-    def _batch(self, values, frames, controllers=None):
-        """(the batch of complete ``values``, its inputs)."""
+    def _batch(self, values, frames, controllers=None, times=1):
+        """(the batch of complete ``values``, with ``times`` as many substeps as usual, its inputs)."""
         substeps, rounds = np.array([self._steps(v) for v in values]).T
-        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)
+        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=times * substeps, rounds=rounds, device=self.device)
         return batch, replace(batch.inputs, **self._inputs(batch, values, frames, controllers))
 
     def _corrected(self, batch, inputs):
@@ -242,14 +255,19 @@ class Simulator:
 
     def _observed(self, path):
         """(T, M, 3) structure points of a path (T, N, 3) of the nodes, NaN once it blew up."""
+        bad = ~_sane(path).cpu().numpy()
         path = path.double().cpu().numpy()
-        bad = ~(np.abs(path).max((1, 2)) < 1e3)
         if not bad.any():
             return self.scene.body.followed(path)
         whole = int(bad.argmax())
         found = self.scene.body.followed(np.concatenate([path[:whole], np.repeat(path[:1], len(path) - whole, 0)]))
         found[whole:] = np.nan
         return found
+
+
+def _sane(path):
+    """(T,) bool, the frames of a path (T, N, 3) m in which everything is somewhere: nothing is NaN or kilometres away."""
+    return path.abs().amax((1, 2)) < FAR
 
 
 def _no_faster(rate):

@@ -26,6 +26,7 @@ __all__ = ["Equilibrium", "Solid", "posed"]
 
 APART = 4.0  # times as stiff, from one start to the next
 ALIKE = 0.1  # of a body's size, RMS: frame 0 of another recording that is farther from the rest shape is taken for the rest shape itself
+ONE = 1e-4  # m, RMS: clouds so near are one cloud, moved
 FOUND = 60  # rounds in which a place in the rest shape is found: where the body has turned by 40 degrees each gains a third of a digit
 HALF = 0.5 + 1e-6  # of a cell, from a driven marker to a node that it carries
 
@@ -81,19 +82,25 @@ class Solid(Body):
         return replace(self, grid=grid, equilibrium=None)
 
     def laid(self, target: Observed) -> Solid:
-        """Moved rigidly to where the target's points lie; where they are shaped otherwise the rest shape is taken from them instead."""
+        """As the target's points tell it, where they show all of it and are of one shape with it; else moved rigidly to where they lie.
+
+        Its cells then fit what is tracked and held there. Two clouds of a body differ by a millimetre or two, and so does a body that was
+        laid by one into the other. One that was solved for an equilibrium keeps its rest shape, unless it is shaped otherwise there.
+        """
         outer = sum(self.counts[:2])
         cloud = target.structure[: sum(target.counts[:2])]
         laid = align(self.structure, cloud, surface=outer)
         apart = np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2))
         there = dict(structure=target.structure, counts=target.counts, weights=np.zeros((0, 4)))
-        if apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0)):
+        body, alike = None, apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0))
+        if not alike or (apart > ONE and not self.is_loaded):
+            body = body_of(target, kind="solid", pitch=float(self.grid.size.mean()))
+        if alike and (body is None or body.notes):
             rotation, shift = rigid_transform(self.structure, laid)
             surface = self.surface @ rotation.T + shift
             loaded = self.equilibrium and replace(self.equilibrium, nodes=self.equilibrium.nodes @ rotation.T + shift)
             return replace(self, grid=posed(self.grid, rotation, shift), surface=surface, notes=(), equilibrium=loaded, **there)
-        body = body_of(target, kind="solid", pitch=float(self.grid.size.mean()))
-        notes = ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
+        notes = () if alike else ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
         return replace(self, grid=body.grid, surface=body.surface, area=body.area, notes=notes, equilibrium=None, **there)
 
     # ---------------------------------------------------------------- under load in frame 0

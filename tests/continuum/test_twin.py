@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from blocks import FRAMES, lifted
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
@@ -72,6 +73,33 @@ def test_a_twin_moves_with_the_room(truth):
     assert "told by distance" in there.note  # nothing after frame 0 was looked at
     off = there.rollout(moved.controllers).positions - move(twin.rollout(recording.controllers).positions)
     assert np.abs(off).max() < 2e-3  # the body is laid by closest points of tracks that are 0.3 mm off
+
+
+def test_a_run_that_blows_up_is_run_again_in_half_steps(truth, monkeypatch):
+    # steps beyond what is stable blow up; half as long they are those of a run that had so many from the start, and others stay as they are
+    simulator = Simulator(truth[1])
+    values = simulator._complete(TRUE)
+    substeps, rounds = simulator._steps(values)
+    short = substeps // 4  # safe steps are half of what is stable: four times as long is twice too long
+    monkeypatch.setattr(Simulator, "_steps", lambda self, v: (short if v["youngs_modulus"] == TRUE["youngs_modulus"] else substeps, rounds))
+    soft = dict(TRUE, youngs_modulus=5e3)
+    both = simulator.run([TRUE, soft], 6)
+    assert np.isfinite(both).all()
+    np.testing.assert_array_equal(both[1], simulator.run([soft], 6)[0])
+    monkeypatch.setattr(Simulator, "_steps", lambda self, v: (2 * short, rounds))
+    np.testing.assert_array_equal(both[0], simulator.run([TRUE], 6)[0])
+
+
+def test_a_body_is_told_by_the_frame_0_in_which_it_is_placed():
+    # the same block, one and a half millimetres longer in the other recording's cloud: its cells are that recording's own
+    home, body = lifted(), Solid.told(lifted(), body_of(lifted(), kind="solid", pitch=0.02))
+    longer = replace(home, points=home.points * [1.0125, 1, 1], interior=home.interior * [1.0125, 1, 1])
+    told = body_of(longer, kind="solid", pitch=float(body.grid.size.mean()))
+    assert not told.notes
+    np.testing.assert_array_equal(body.laid(longer).grid.positions, told.grid.positions)
+    moved = replace(home, points=home.points + 0.1, interior=home.interior + 0.1)
+    laid = body.laid(moved).grid.positions  # the same cloud: the same cells, a block being one with itself turned over
+    assert cKDTree(laid).query(body.grid.positions + 0.1)[0].max() < 2e-5
 
 
 def test_values_of_a_recording_are_those_of_its_own_hands():
