@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from blocks import FRAMES, lifted
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
@@ -98,8 +98,9 @@ def test_a_body_is_told_by_the_frame_0_in_which_it_is_placed():
     assert not told.notes
     np.testing.assert_array_equal(body.laid(longer).grid.positions, told.grid.positions)
     moved = replace(home, points=home.points + 0.1, interior=home.interior + 0.1)
-    laid = body.laid(moved).grid.positions  # the same cloud: the same cells, a block being one with itself turned over
-    assert cKDTree(laid).query(body.grid.positions + 0.1)[0].max() < 2e-5
+    laid = body.laid(moved).grid  # the same cloud: the same cells, moved rigidly (a block is one with itself turned over)
+    np.testing.assert_array_equal(laid.volume, body.grid.volume)
+    np.testing.assert_allclose(pdist(laid.positions), pdist(body.grid.positions), atol=1e-12)
 
 
 def test_values_of_a_recording_are_those_of_its_own_hands():
