@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets.concealed import bodies, motions
+from ..datasets.concealed.converge import shared_vertices
 from ..datasets.concealed.engine import FPS, Motion, Unstable
 from ..datasets.concealed.engines import engine
 from ..datasets.concealed.motions import Script
@@ -128,8 +129,6 @@ def moved(body, script: Script, by: str) -> Motion:
 
 def case_row(folder: str, case: str, refine: int = 2) -> dict:
     """D of a case [mm], what was fitted, and what it cost [s of processor time]."""
-    from scipy.spatial import cKDTree
-
     root = Path(folder)
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     if label["control"] != "plain":
@@ -138,9 +137,7 @@ def case_row(folder: str, case: str, refine: int = 2) -> dict:
     recordings = [open_scenario(str(root / case / part)) for part in PARTS]
     base, scripts = drawn(label)
     fine, _ = drawn(label, refine)
-    apart, shared = cKDTree(fine.vertices).query(base.vertices)
-    if apart.max() > 1e-6:
-        raise ValueError(f"a refined body must keep the vertices of the coarse one, one is {1e3 * apart.max():.2g} mm off")
+    shared = shared_vertices(base, fine)
     goals = [moved(fine, script, by).vertices[:, shared] for script in scripts]
     read = [
         felt(script, one.initial(), truth[f"{part}_hands"], truth[f"{part}_turns"])

@@ -23,7 +23,7 @@ from .convergence import NOISE, Row, markdown
 from .engine import Unstable
 from .engines import ENGINES, able, engine, require
 
-__all__ = ["compare", "main", "refined"]
+__all__ = ["compare", "main", "refined", "shared_vertices"]
 
 
 def refined(kind: str, by: str, motion: str, seed: int, *, solids: str = "tetrahedra", refine: int = 2, frames: int = 0) -> Row:
@@ -35,7 +35,7 @@ def refined(kind: str, by: str, motion: str, seed: int, *, solids: str = "tetrah
     coarse = engine(by).simulate(base, script).vertices
     seconds = time.process_time() - begun
     fine_body = bodies.draw(kind, np.random.default_rng([seed, 0]), refine=refine, solids=solids)
-    fine = engine(by).simulate(fine_body, script).vertices[:, _shared(base, fine_body)]
+    fine = engine(by).simulate(fine_body, script).vertices[:, shared_vertices(base, fine_body)]
     return _row(kind, (by,), motion, seed, solids, coarse, fine, _predictable(base, script, coarse, by), seconds)
 
 
@@ -54,8 +54,8 @@ def _drawn(kind, motion, seed, solids, frames):
     return body, replace(script, frames=min(frames or script.frames, script.frames))
 
 
-def _shared(base, fine):
-    """Vertices of ``fine`` where those of ``base`` are."""
+def shared_vertices(base, fine) -> np.ndarray:
+    """(V,) vertices of the body ``fine`` where the V of ``base`` are; raises ValueError where one of these was not kept."""
     from scipy.spatial import cKDTree
 
     distance, index = cKDTree(fine.vertices).query(base.vertices)
