@@ -40,7 +40,8 @@ def told(label: dict, grid_axes) -> tuple[tuple, list[Unknown], dict]:
         at = {f"added_mass_{axis}": float(c) for axis, c in zip("xyz", place["centroid"], strict=True)}
         return (terms.AddedMass(),), [_amount("added_mass", 0.2, 0.01, 10.0, "-")], at | {"added_mass_within": place["radius"]}
     if effect == "wind":
-        return (terms.Wind(),), [Unknown(f"wind_{axis}", 0.0, -20.0, 20.0, "m/s^2") for axis in "xyz"], {}
+        pulls = [Unknown(f"wind_{axis}", 0.0, -100.0, 100.0, "m/s^2") for axis in "xyz"]
+        return (terms.Wind(),), [*pulls, _amount("wind_speed", 3.0, 0.2, 50.0, "m/s")], {}
     if effect == "anisotropy":
         x, y, z = np.asarray(grid_axes) @ np.asarray(known["axis_frame0"])
         way = {"fibre_azimuth": float(np.arctan2(y, x)), "fibre_elevation": float(np.arcsin(np.clip(z, -1, 1))), "fibre_compression": 1.0}
