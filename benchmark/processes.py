@@ -12,8 +12,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from ..datasets.pool import Pool
+from ..physics.cores import cores
 
-__all__ = ["cards", "cores", "end_children", "workers"]
+__all__ = ["cards", "end_children", "workers"]
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # what numerical libraries read when they are loaded
@@ -28,11 +29,6 @@ def cards(device: str = "cuda") -> tuple[str, ...]:
     count = torch.cuda.device_count()
     named = [name.strip() for name in os.environ.get(VISIBLE, "").split(",") if name.strip()]
     return tuple(named[:count] if named else map(str, range(count)))
-
-
-def cores() -> int:
-    """How many processor cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def workers(count: int, devices: Sequence[str] = ()) -> Pool:

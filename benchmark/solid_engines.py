@@ -255,7 +255,7 @@ class Tetrahedra(Engine):
             with warp.ScopedCapture(device=self.device) as capture:
                 frame()
 
-        def run():
+        def run(_kept=(model, solver, control)):  # what a recorded graph works on must live as long as the graph
             warp.copy(old.particle_q, start[0])
             warp.copy(old.particle_qd, start[1])
             found = np.empty((FRAMES, *at.shape, 3))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -15,6 +14,7 @@ import torch
 import warp as wp
 
 from .cells import assemble_cells
+from .cores import threads
 from .facets import assemble_facets
 from .hinges import assemble
 from .kernels import build
@@ -119,7 +119,7 @@ class Batch:
         self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
         self.alone = not cuda  # a team is one thread
         self.kernels = build(self.laws, double, self.alone, self._team[2], self._team[1], self.pointed)
-        self._workers = 1 if cuda else max(1, min(len(systems), workers or os.cpu_count() or 1))
+        self._workers = 1 if cuda else max(1, min(len(systems), workers or threads()))
         if self.twisting:
             self.inputs.directors = settled(self, self.inputs)
         self.resident = None if team else engine_for(self)

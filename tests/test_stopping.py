@@ -106,3 +106,12 @@ def test_processes_share_the_cores(monkeypatch):
         given = [pool.submit(os.getenv, name).result() for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")]
     assert given == ["2", "3"]  # six cores for two processes; who asks for fewer gets fewer
     assert os.environ["OMP_NUM_THREADS"] == "2" and "MKL_NUM_THREADS" not in os.environ
+
+
+def test_threads_are_the_cores_or_fewer_where_the_environment_says_so(monkeypatch):
+    from twinbench.physics import cores
+
+    monkeypatch.setattr(cores, "cores", lambda: 6)
+    for asked, given in (("2", 2), ("64", 6), ("", 6), ("0", 6), ("many", 6)):
+        monkeypatch.setenv("OMP_NUM_THREADS", asked)
+        assert cores.threads() == given

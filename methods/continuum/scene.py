@@ -168,6 +168,12 @@ class Scene:
             found[own] = falloff(_apart(self.points.home[self.grasp.points[own]], at + shift[k]), reach[k] * radii[k])
         return found
 
+    def held_mass(self, shift, reach) -> float:
+        """kg that a soft hand holds, each point as firmly as it is held; of several hands the geometric mean."""
+        held = self.firmness(shift, reach) * self.points.masses[self.grasp.points]
+        each = np.bincount(self.grasp.hand, held, len(self.hands))[list(self.soft)]
+        return float(np.exp(np.mean(np.log(each))))
+
     def paths(self, controllers=None) -> np.ndarray:
         """(T, D + n + f, 3) m, where ``controllers`` (the recording's own unless given) move D driven nodes, and what ``carried`` says."""
         hands = self.hands if controllers is None else self.led(controllers)

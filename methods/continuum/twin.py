@@ -70,6 +70,8 @@ class ContinuumTwin(Twin):
         there = placed(first, body.laid(first), Config(start=start, contact=contact), target)
         values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
         values |= self._grips(there)
+        if "grip_rate" in values and self.scene.soft and there.soft:
+            values["grip_rate"] = self._as_stiff(there, values)
         if target.timed:
             values.pop("frame_rate", None)
         if body.is_loaded and not there.body.is_loaded:
@@ -91,6 +93,12 @@ class ContinuumTwin(Twin):
             moved = out * there.body.outward(place.mean(0))
             found |= {f"grip{k}_shift_{axis}": float(v) for axis, v in zip("xyz", moved, strict=True)}
         return found
+
+    def _as_stiff(self, there: Scene, values) -> float:
+        """The rate [1/s] with which hands are springs of as many N/m ``there`` as they are here: M w^2, whatever mass M they hold."""
+        rate = next(p for p in terms.SoftGrip.parameters if p.name == "grip_rate")
+        here, held = (scene.held_mass(*Simulator(scene).grips(own)) for scene, own in ((self.scene, self.values), (there, values)))
+        return float(np.clip(values["grip_rate"] * np.sqrt(here / held), rate.low, rate.high))
 
     def save(self, folder: Path) -> None:
         scene = self.scene

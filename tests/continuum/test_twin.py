@@ -75,6 +75,25 @@ def test_a_twin_moves_with_the_room(truth):
     assert np.abs(off).max() < 2e-3  # the body is laid by closest points of tracks that are 0.3 mm off
 
 
+def test_a_hand_that_gives_way_is_as_stiff_in_another_recording(truth):
+    # a spring of K N/m between hand and body is one whatever the hand holds of it: M w^2 = K, M = sum_i s_i m_i of the points held
+    recording, scene = truth
+    away = np.array([0.01, 0.0, 0.0])  # controllers that lie farther out hold less of the block
+    there = replace(recording, controllers=recording.controllers + away * np.sign(recording.controllers[0].mean(0) - scene.structure.mean(0)))
+    twin = ContinuumTwin(scene, TRUE | dict(grip_rate=60.0, grip0_reach=1.2))
+    other = twin.retarget(there)
+
+    def spring(one):
+        shift, reach = one.simulator.grips(one.values)
+        held = one.scene.firmness(shift, reach) @ one.scene.points.masses[one.scene.grasp.points]
+        return held, held * one.values["grip_rate"] ** 2
+
+    (here, stiffness), (elsewhere, same) = spring(twin), spring(other)
+    assert abs(elsewhere / here - 1) > 0.02
+    assert same == pytest.approx(stiffness, rel=1e-9)
+    assert "grip_rate" not in ContinuumTwin(scene, TRUE).retarget(there).values  # firm unless said
+
+
 def test_a_run_that_blows_up_is_run_again_in_half_steps(truth, monkeypatch):
     # steps beyond what is stable blow up; half as long they are those of a run that had so many from the start, and others stay as they are
     simulator = Simulator(truth[1])
