@@ -78,8 +78,8 @@ def test_a_twin_moves_with_the_room(truth):
 def test_a_hand_that_gives_way_is_as_stiff_in_another_recording(truth):
     # a spring of K N/m between hand and body is one whatever the hand holds of it: M w^2 = K, M = sum_i s_i m_i of the points held
     recording, scene = truth
-    away = np.array([0.01, 0.0, 0.0])  # controllers that lie farther out hold less of the block
-    there = replace(recording, controllers=recording.controllers + away * np.sign(recording.controllers[0].mean(0) - scene.structure.mean(0)))
+    outward = np.sign(recording.controllers[0].mean(0) - scene.structure.mean(0)) * [0.01, 0, 0]
+    there = replace(recording, controllers=recording.controllers + outward)  # it holds less of the block
     twin = ContinuumTwin(scene, TRUE | dict(grip_rate=60.0, grip0_reach=1.2))
     other = twin.retarget(there)
 
