@@ -47,7 +47,7 @@ def told(label: dict, grid_axes) -> tuple[tuple, list[Unknown], dict]:
         way = {"fibre_azimuth": float(np.arctan2(y, x)), "fibre_elevation": float(np.arcsin(np.clip(z, -1, 1))), "fibre_compression": 1.0}
         return (terms.Fibres(),), [_amount("fibre_share", 1.0, 0.05, 50.0, "-")], way
     if effect == "compression_softening":
-        return (terms.TensionCompression(),), [Unknown("tension_share", 0.1, -0.8, 0.8, "-")], {}
+        return (terms.TensionCompression(),), [Unknown("tension_share", 0.1, -1.2, 1.2, "-")], {}
     if effect == "grip_compliance":
         return (), [_amount("grip_rate", 100.0, 5.0, 1500.0, "1/s"), Unknown("grip_damping", 0.3, 0.0, 2.0, "-")], {}
     if effect == "quadratic_drag":

@@ -32,7 +32,7 @@ class TensionCompression(Term):
     name = "tension_compression"
     stage = "material"
     parameters = (
-        Parameter("tension_share", 0.0, -0.8, 0.8, "-", "how much stiffer it is in tension than in compression"),
+        Parameter("tension_share", 0.0, -1.2, 1.2, "-", "how much stiffer it is in tension than in compression"),
         Parameter("tension_width", 0.02, 1e-3, 0.5, "-", "strain over which compression passes into tension", "log"),
     )
     law = stress
