@@ -232,7 +232,7 @@ def test_cameras_that_never_ran_together_are_refused():
 
 
 def test_a_realsense_file_comes_back_exact_in_depth(tmp_path):
-    pytest.importorskip("pyrealsense2", reason="pip install twinbench[capture]; needs libusb-1.0")
+    pytest.importorskip("pyrealsense2", reason="pip install twinbench[capture]; needs libusb-1.0", exc_type=ImportError)
     from realsense_files import record
 
     rng = np.random.default_rng(3)
@@ -247,7 +247,7 @@ def test_a_realsense_file_comes_back_exact_in_depth(tmp_path):
 
 
 def test_what_is_no_realsense_file_is_named(tmp_path):
-    pytest.importorskip("pyrealsense2", reason="pip install twinbench[capture]; needs libusb-1.0")
+    pytest.importorskip("pyrealsense2", reason="pip install twinbench[capture]; needs libusb-1.0", exc_type=ImportError)
     (tmp_path / "x.db3").write_bytes(b"nothing")
     with pytest.raises(ValueError, match=r"x\.db3: cannot be opened"):
         open_raw(tmp_path / "x.db3")

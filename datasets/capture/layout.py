@@ -26,11 +26,11 @@ import numpy as np
 from ..files import read_json
 from ..findings import shown
 from ..scenario import Plane
-from ..temporary import scratch
+from ..temporary import replacing, scratch
 from .pictures import PictureFiles, write_color, write_depth
 from .recording import RawCamera, RawRecording
 
-__all__ = ["MANIFEST", "read_layout", "write_layout"]
+__all__ = ["MANIFEST", "put_poses", "read_layout", "write_layout"]
 
 MANIFEST = "recording.json"
 _NEEDED = {"size", "intrinsics", "depth_unit", "color", "depth"}
@@ -134,14 +134,32 @@ def write_layout(folder: str | Path, recording: RawRecording) -> Path:
     with scratch(folder.parent, folder) as temporary:
         target = temporary / "recording"
         about = {camera.name: _write_camera(target, camera) for camera in recording.cameras}
-        ground = recording.ground
-        world = {
-            "gravity": np.asarray(recording.gravity, float).tolist(),
-            "ground": None if ground is None else {"normal": ground.normal.tolist(), "offset": float(ground.offset)},
-        }
-        (target / MANIFEST).write_text(json.dumps(world | {"cameras": about}), encoding="utf-8")
+        (target / MANIFEST).write_text(json.dumps(_said(recording) | {"cameras": about}), encoding="utf-8")
         target.rename(folder)
     return folder
+
+
+def _said(recording):
+    """Gravity and table as JSON."""
+    ground = recording.ground
+    plane = None if ground is None else {"normal": ground.normal.tolist(), "offset": float(ground.offset)}
+    return {"gravity": np.asarray(recording.gravity, float).tolist(), "ground": plane}
+
+
+def put_poses(folder: str | Path, poses: dict[str, np.ndarray], world: RawRecording) -> None:
+    """Write poses (4, 4) by camera, and the gravity and table of ``world``, into the ``recording.json`` in ``folder``.
+
+    Raises ValueError naming the file where it is no recording, or the cameras are not the same.
+    """
+    file = Path(folder) / MANIFEST
+    read_layout(folder)
+    about = read_json(file)
+    if set(about["cameras"]) != set(poses):
+        raise ValueError(f"{file}: must have the cameras that were calibrated, {sorted(poses)}, got {sorted(about['cameras'])}")
+    for name, pose in poses.items():
+        about["cameras"][name]["camera_to_world"] = np.asarray(pose).tolist()
+    with replacing(file) as temporary:
+        temporary.write_text(json.dumps(about | _said(world)), encoding="utf-8")
 
 
 def _write_camera(folder, camera):

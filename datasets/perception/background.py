@@ -22,6 +22,7 @@ class BackgroundMasks(Masker):
     above      what is higher above the table stands on it [m]; depth scatters by some millimetres
     differs    distance of Lab colours, in units of its scatter, by which a pixel is not the empty table's
     least      pixels: smaller pieces are noise
+    most       share of the pixels with depth: where more stands on the table, it is not the table
     """
 
     name = "background"
@@ -31,6 +32,7 @@ class BackgroundMasks(Masker):
     above: float = 0.005
     differs: float = 5.0
     least: int = 25
+    most: float = 0.7
 
     def masks(self, clip: Clip) -> Masks:
         if clip.ground is None and clip.empty is None:
@@ -41,6 +43,9 @@ class BackgroundMasks(Masker):
         standing = [self._standing(clip, t, empty) for t in range(len(clip.colors))]
         if standing[0].sum() < self.least:
             raise ValueError(f"camera {clip.name}: nothing stands on the table in frame 0 ({int(standing[0].sum())} pixels)")
+        if (share := standing[0].sum() / max((clip.depths[0] > 0).sum(), 1)) > self.most:
+            rule = f"at most {100 * self.most:.0f} % of what has depth may stand on the table in frame 0"
+            raise ValueError(f"camera {clip.name}: {rule}, got {100 * share:.0f} %: is its pose upside down, or the table another?")
         hand_seeds, object_seeds = self._seeds(clip, standing[0])
         if not object_seeds.any():
             raise ValueError(f"camera {clip.name}: no object in frame 0, all that stands there has the colour of hands; click on it")

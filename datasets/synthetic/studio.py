@@ -22,7 +22,7 @@ from .simulate import Motion, simulate, to_world
 from .studio_camera import DepthErrors, Optics, Shot, Stage, shoot_empty
 from .studio_texture import TEXTURES, texture
 
-__all__ = ["BODIES", "MOTIONS", "StudioTruth", "Take", "film_studio"]
+__all__ = ["BODIES", "MOTIONS", "StudioTruth", "Take", "film_studio", "hand_motion", "studio_cameras"]
 
 BODIES = {
     "plush": Plush(),
@@ -102,7 +102,7 @@ def film_studio(
     interaction = _at(thing, MOTIONS[motion])
     moved = simulate(thing, interaction, frames=(frames + 1) * STEPS + 1, fps=FPS * STEPS, substeps=max(32 // STEPS, 1))
     hand = Hand(elbow=(0.1 * np.cos(interaction.arm), 0.1 * np.sin(interaction.arm), 0.16))
-    optics = [Optics.drawn(camera, rng, errors or DepthErrors()) for camera in _cameras(width)[:cameras]]
+    optics = [Optics.drawn(camera, rng, errors or DepthErrors()) for camera in studio_cameras(width)[:cameras]]
     phases = rng.uniform(0, 1 / FPS, cameras) * 0.9
     clocks = rng.uniform(-CLOCK, CLOCK, cameras)
     instants = phases[:, None] + np.arange(frames) / FPS
@@ -129,7 +129,8 @@ def _at(body: Plush, motion: Interaction) -> Interaction:
     return replace(motion, grip=(side * (body.size[0] / 2 - 0.02), 0.0, body.size[2] / 2), grip_radius=0.035)
 
 
-def _cameras(width):
+def studio_cameras(width: int) -> list[Camera]:
+    """The true cameras, ``width`` pixels across."""
     height = round(width * 240 / 424)
     out, up = DISTANCE * np.cos(ELEVATION), DISTANCE * np.sin(ELEVATION)
     shape = {"focal": FOCAL * width, "width": width, "height": height, "principal": ((width - 1) / 2 + 2.3, (height - 1) / 2 - 1.7)}
@@ -148,6 +149,16 @@ def _between(values, times):
     low = at.astype(int)
     share = (at - low).reshape(at.shape + (1,) * (values.ndim - 1))
     return (1 - share) * values[low] + share * values[low + 1]
+
+
+def hand_motion(motion: Motion, start: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(T, P, 3) world positions of points of the hand at true ``times`` (T,), which are at ``start`` (P, 3) in the first of them."""
+    at = to_world(_between(motion.hand_position, times))
+    turns = np.array([_nearest_rotation(motion.hand_rotation, t) for t in times])
+    flip = np.diag([1.0, -1.0, -1.0])
+    turns = flip @ turns @ flip  # in the world's axes
+    local = (start - at[0]) @ turns[0]
+    return np.einsum("tij,nj->tni", turns, local) + at[:, None]
 
 
 def _nearest_rotation(rotations, time):
