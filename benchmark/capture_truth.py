@@ -10,7 +10,7 @@ from ..datasets.capture.build import Built
 from ..datasets.synthetic.studio import Take, hand_motion
 from ..datasets.synthetic.tracking import Attached
 
-__all__ = ["Score", "score"]
+__all__ = ["Score", "material_points", "score"]
 
 SAMPLES = 4000  # points on the true skin
 
@@ -96,12 +96,17 @@ def _skin(truth, time):
     return scene, o3d
 
 
+def material_points(truth, start: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(T, N, 3) world positions at true ``times`` (T,) of the points of the skin that are nearest to ``start`` (N, 3) in the first."""
+    scene, o3d = _skin(truth, times[0])
+    found = scene.compute_closest_points(o3d.core.Tensor(start.astype(np.float32)), nthreads=1)
+    u, v = found["primitive_uvs"].numpy().astype(float).T
+    return truth.points(found["primitive_ids"].numpy().astype(int), np.stack([1 - u - v, u, v], 1), times)
+
+
 def _point_errors(truth, scenario, times):
     """(T, N) m; NaN where not visible. A point is meant to be the skin's nearest to it in frame 0, and moves as that does."""
-    scene, o3d = _skin(truth, times[0])
-    found = scene.compute_closest_points(o3d.core.Tensor(scenario.points[0].astype(np.float32)), nthreads=1)
-    u, v = found["primitive_uvs"].numpy().astype(float).T
-    true = truth.points(found["primitive_ids"].numpy().astype(int), np.stack([1 - u - v, u, v], 1), times)
+    true = material_points(truth, scenario.points[0], times)
     return np.where(scenario.visible, np.linalg.norm(true - scenario.points, axis=2), np.nan)
 
 
