@@ -125,6 +125,7 @@ def test_clouds_are_built_without_correspondences(tmp_path):
     built = build(open_raw(clips.write(tmp_path / "raw", "fold")), tmp_path / "case")
     scenario = read_case(tmp_path / "case")
     assert not scenario.correspond and not scenario.timed and not scenario.motion_valid.any()
+    assert len(np.unique(scenario.points[0], axis=0)) == len(scenario.points[0])
     assert np.array_equal(scenario.points[3][scenario.visible[3]], built.scenario.points[3][built.scenario.visible[3]])
     assert [f for f in check(tmp_path / "case") if f.severity == "error"] == []
 

@@ -12,7 +12,7 @@ __all__ = ["build_clouds"]
 
 
 def build_clouds(recording, out, options, *, overwrite=False):
-    """Write the case ``out`` of a recording of clouds. Frame 0's rows beyond its own cloud repeat points of it, and are not visible."""
+    """Write the case ``out`` of a recording of clouds. Frame 0's rows beyond its cloud lie between points of it, and are not visible."""
     from .build import Built
 
     count = max(map(len, recording.clouds))
@@ -21,8 +21,9 @@ def build_clouds(recording, out, options, *, overwrite=False):
         points[t, : len(cloud)], visible[t, : len(cloud)] = cloud, True
     first = recording.clouds[0]
     rng = np.random.default_rng(0)
-    more = first[rng.integers(0, len(first), (count - len(first), 2))]
-    points[0, len(first) :] = more[:, 0] + rng.uniform(0.2, 0.8, (len(more), 1)) * (more[:, 1] - more[:, 0])
+    one = rng.integers(0, len(first), count - len(first))
+    other = (one + rng.integers(1, max(len(first), 2), len(one))) % len(first)  # never itself: particles must not lie on each other
+    points[0, len(first) :] = first[one] + rng.uniform(0.2, 0.8, (len(one), 1)) * (first[other] - first[one])
     scenario = Scenario(
         name=out.name,
         points=points,
