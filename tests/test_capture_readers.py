@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from twinbench.datasets.capture import RawCamera, RawRecording, open_raw
-from twinbench.datasets.capture.layout import read_layout, write_layout
+from twinbench.datasets.capture.layout import _KEYS, read_layout, write_layout
 from twinbench.datasets.capture.pictures import Held
 from twinbench.datasets.capture.timing import measure_timing
 
@@ -187,6 +187,31 @@ def test_what_is_no_recording_says_what_was_looked_for(tmp_path):
     (tmp_path / "a.txt").write_text("x")
     with pytest.raises(ValueError, match=r"\.db3"):
         open_raw(tmp_path / "a.txt")
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(10**20), 10**20) | st.floats(allow_nan=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(["cameras", "gravity", "ground", *sorted(_KEYS)]), JSON)
+def test_whatever_a_field_holds_it_is_read_or_refused(tmp_path_factory, key, value):
+    folder = tmp_path_factory.getbasetemp() / "any"
+    if not folder.exists():
+        write_layout(folder, RawRecording("any", (camera(empty=True, arrivals=np.arange(3.0)),)))
+        (folder / "whole.json").write_text((folder / "recording.json").read_text())
+    about = json.loads((folder / "whole.json").read_text())
+    (about if key in ("cameras", "gravity", "ground") else about["cameras"]["left"])[key] = value
+    (folder / "recording.json").write_text(json.dumps(about))
+    try:
+        recording = open_raw(folder)
+    except ValueError as refused:
+        assert str(folder) in str(refused)
+    else:
+        assert recording.cameras[0].frame_count == 3
 
 
 # --- time ---------------------------------------------------------------------------------------------------------------------------
