@@ -20,7 +20,7 @@ from ..datasets.synthetic.tracking import Attached
 from .capture_quality import SEED, Case
 from .capture_truth import material_points
 
-__all__ = ["compare_twins", "main", "true_scenario"]
+__all__ = ["compare_twins", "main", "true_scenario", "twin_errors"]
 
 CASES = (Case("rope", "lift"), Case("plush", "lift"))
 
@@ -50,21 +50,27 @@ def compare_twins(case: Case, method: str, seed: int = SEED) -> dict:
     """Mean distances [mm] of both twins from the truth over the test frames, and their ratio."""
     from ..datasets.capture.build import BuildOptions, build
     from ..datasets.synthetic.studio import film_studio
-    from ..methods.base import Budget
-    from ..methods.registry import get_method
 
     take = film_studio(case.body, case.motion, seed=seed, frames=case.frames, pattern=case.pattern, width=case.width)
     names = tuple(camera.name for camera in take.recording.cameras[: case.cameras])
     with tempfile.TemporaryDirectory() as folder:
         built = build(take.recording, Path(folder) / f"{case.body}_{case.motion}", BuildOptions(cameras=names))
-        true = true_scenario(take, built)
-        errors = {}
-        for name, scenario in (("built", built.scenario), ("truth", true)):
-            twin = get_method(method).fit([scenario.observed()], budget=Budget("quick"), seed=0)
-            positions = twin.rollout(scenario.controllers).positions[:, : true.points.shape[1]]
-            off = np.linalg.norm(positions - true.points, axis=2)[scenario.split.train_end :]
-            errors[f"{name}_mm"] = 1000 * float(off.mean())
+        errors = twin_errors(built.scenario, true_scenario(take, built), method)
     return {"key": f"{method}-{case.key}", "seed": seed, **errors, "ratio": errors["built_mm"] / errors["truth_mm"]}
+
+
+def twin_errors(built: Scenario, true: Scenario, method: str) -> dict:
+    """Mean distance [mm] from the true positions in the test frames, of a twin fitted to each."""
+    from ..methods.base import Budget
+    from ..methods.registry import get_method
+
+    errors = {}
+    for name, scenario in (("built", built), ("truth", true)):
+        twin = get_method(method).fit([scenario.observed()], budget=Budget("quick"), seed=0)
+        positions = twin.rollout(scenario.controllers).positions[:, : true.points.shape[1]]
+        off = np.linalg.norm(positions - true.points, axis=2)[scenario.split.train_end :]
+        errors[f"{name}_mm"] = 1000 * float(off.mean())
+    return errors
 
 
 def main(arguments=None) -> None:

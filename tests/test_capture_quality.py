@@ -9,7 +9,7 @@ import pytest
 from twinbench.benchmark import capture_quality
 from twinbench.benchmark.capture_quality import Case, board_row, markdown, measure
 from twinbench.benchmark.capture_truth import material_points, score
-from twinbench.benchmark.capture_twins import true_scenario
+from twinbench.benchmark.capture_twins import true_scenario, twin_errors
 from twinbench.datasets.capture.build import build
 from twinbench.datasets.synthetic.studio import film_studio
 
@@ -49,6 +49,16 @@ def test_material_points_lie_on_the_skin_and_stay_where_they_are_on_it(made):
     points = material_points(take.truth, built.scenario.points[0], times)
     again = material_points(take.truth, points[0], times)
     assert np.abs(points - again).max() < 1e-5  # m, single precision of the nearest place
+
+
+@pytest.mark.slow
+def test_twins_of_both_are_scored_on_the_truth(made):
+    """A twin that holds frame 0 is off by the truth's own motion, and by the built frame 0's few millimetres."""
+    take, built = made
+    true = true_scenario(take, built)
+    errors = twin_errors(built.scenario, true, "static")
+    still = 1000 * np.linalg.norm(true.points[0] - true.points, axis=2)[true.split.train_end :].mean()
+    assert abs(errors["truth_mm"] - still) < 1e-3 and abs(errors["built_mm"] - still) < 4
 
 
 def test_rows_are_kept_and_refusals_are_told(tmp_path, monkeypatch, capsys):
