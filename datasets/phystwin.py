@@ -114,7 +114,7 @@ def _write_scenario(folder, name, scenario):
 
 
 def _extra_of(scenario):
-    extra = {key: getattr(scenario, key) for key in ("object", "session", "self_collision")}
+    extra = {key: getattr(scenario, key) for key in ("object", "session", "self_collision", "timed", "correspond")}
     extra["gravity"] = scenario.gravity.tolist()
     ground = scenario.ground
     extra["ground"] = None if ground is None else {"normal": ground.normal.tolist(), "offset": float(ground.offset)}

@@ -34,7 +34,7 @@ ARRAYS = {
     "object_colors": "colors",
 }
 _REQUIRED = tuple(ARRAYS)[:4]
-_EXTRA = ("gravity", "ground", "object", "session", "self_collision", "grips", "colors")
+_EXTRA = ("gravity", "ground", "object", "session", "self_collision", "grips", "colors", "timed", "correspond")
 _DATA, _POSES, _TRACKS = "final_data.pkl", "calibrate.pkl", "gt_track_3d.pkl"
 _SPLIT, _METADATA, _SCENARIO = "split.json", "metadata.json", "scenario.json"
 _PLACES = {field: (_DATA, key) for key, field in ARRAYS.items()}  # field of Scenario -> file and what it is called there
@@ -155,6 +155,8 @@ def defaults(name: str) -> dict:
         "object": CASES[name].object if name in CASES else name,
         "session": name,
         "self_collision": self_collides(name),
+        "timed": True,
+        "correspond": True,
     }
 
 
@@ -177,6 +179,10 @@ def _extra(folder):
         if not isinstance(extra[key], str):
             yield error(key, f"must be a str, got {shown(extra[key])}", file)
             extra[key] = ""
+    for key in ("timed", "correspond"):
+        if not isinstance(extra[key], bool):
+            yield error(key, f"must be true or false, got {shown(extra[key])}", file)
+            extra[key] = True
     extra["ground"] = yield from _ground(file, extra["ground"])
     return extra
 

@@ -1,5 +1,7 @@
 """The commands of ``twinbench``, a file each."""
 
+from .build import Build
+from .calibrate import Calibrate
 from .check import Check
 from .compare import Compare
 from .concealed import Concealed
@@ -29,6 +31,8 @@ COMMANDS = {
     "conform": Conform,
     "score": Score,
     "export": Export,
+    "build": Build,
+    "calibrate": Calibrate,
     "diagnose": Diagnose,
     "concealed": Concealed,
     "real": Real,

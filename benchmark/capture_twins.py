@@ -1,0 +1,94 @@
+"""``python -m twinbench.benchmark.capture_twins OUT``: what building from pictures costs a twin, against the truth of the virtual studio.
+
+The same method is fitted to the case that was built and to the truth's: the same material points without noise and always seen, the true
+path of the controllers, the true shape. Both twins are scored on the true positions of those points in the test frames.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..datasets.scenario import Scenario
+from ..datasets.synthetic.tracking import Attached
+from .capture_quality import SEED, Case
+from .capture_truth import material_points
+
+__all__ = ["compare_twins", "main", "true_scenario", "twin_errors"]
+
+CASES = (Case("rope", "lift"), Case("plush", "lift"))
+
+
+def true_scenario(take, built) -> Scenario:
+    """What ``built`` follows, in truth: its material points, its controllers on the hand, as many points of the true shape."""
+    from ..datasets.synthetic.studio import hand_motion
+
+    truth, scenario = take.truth, built.scenario
+    names = [camera.name for camera in take.recording.cameras]
+    times = truth.instants[names.index(built.quality.cameras[0].name), built.timing.frames[0]]
+    points = material_points(truth, scenario.points[0], times)
+    seen, rng = np.ones(points.shape[:2], bool), np.random.default_rng(0)
+    valid = seen.copy()
+    valid[-1] = False
+    vertices = truth.vertices(times[0])
+    inside = [
+        Attached.sample(elements, vertices, count, rng).at(vertices[None])[0]
+        for elements, count in ((truth.faces, len(scenario.surface)), (truth.tetrahedra, len(scenario.interior)))
+    ]
+    hands = hand_motion(truth.motion, scenario.controllers[0], times)
+    known = {"points": points, "visible": seen, "motion_valid": valid, "controllers": hands, "surface": inside[0], "interior": inside[1]}
+    return replace(scenario, name=f"{scenario.name}_truth", **known)
+
+
+def compare_twins(case: Case, method: str, seed: int = SEED) -> dict:
+    """Mean distances [mm] of both twins from the truth over the test frames, and their ratio."""
+    from ..datasets.capture.build import BuildOptions, build
+    from ..datasets.synthetic.studio import film_studio
+
+    take = film_studio(case.body, case.motion, seed=seed, frames=case.frames, pattern=case.pattern, width=case.width)
+    names = tuple(camera.name for camera in take.recording.cameras[: case.cameras])
+    with tempfile.TemporaryDirectory() as folder:
+        built = build(take.recording, Path(folder) / f"{case.body}_{case.motion}", BuildOptions(cameras=names))
+        errors = twin_errors(built.scenario, true_scenario(take, built), method)
+    return {"key": f"{method}-{case.key}", "seed": seed, **errors, "ratio": errors["built_mm"] / errors["truth_mm"]}
+
+
+def twin_errors(built: Scenario, true: Scenario, method: str) -> dict:
+    """Mean distance [mm] from the true positions in the test frames, of a twin fitted to each."""
+    from ..methods.base import Budget
+    from ..methods.registry import get_method
+
+    errors = {}
+    for name, scenario in (("built", built), ("truth", true)):
+        twin = get_method(method).fit([scenario.observed()], budget=Budget("quick"), seed=0)
+        positions = twin.rollout(scenario.controllers).positions[:, : true.points.shape[1]]
+        off = np.linalg.norm(positions - true.points, axis=2)[scenario.split.train_end :]
+        errors[f"{name}_mm"] = 1000 * float(off.mean())
+    return errors
+
+
+def main(arguments=None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.capture_twins", description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--methods", nargs="*", default=["phystwin", "continuum"])
+    options = parser.parse_args(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    file = options.out / "twins.jsonl"
+    done = {json.loads(line)["key"] for line in file.read_text().splitlines()} if file.exists() else set()
+    for case in CASES:
+        for method in options.methods:
+            if f"{method}-{case.key}" not in done:
+                row = compare_twins(case, method)
+                with file.open("a") as stream:
+                    stream.write(json.dumps(row) + "\n")
+                print(row, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,139 @@
+"""How good a case is that was built from pictures, and what it cannot be used for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["CameraQuality", "Quality", "measure_quality"]
+
+
+@dataclass(frozen=True)
+class CameraQuality:
+    """Of one camera.
+
+    coverage      median share of the object's pixels that have sound depth
+    alive         share of its tracks on the object that are visible in the last frame
+    reprojection  median distance of the body's points, projected, from this camera's own tracks [pixel]
+    depth_noise   scatter of depth between neighbouring pixels [m]
+    empty         frames in which it sees nothing of the object
+    cut           frames in which the object touches the border of the picture
+    offset, drift, dropped, missing   clock: [s] and parts per million or None, frames dropped, frames without a partner
+    """
+
+    name: str
+    coverage: float
+    alive: float
+    reprojection: float
+    depth_noise: float
+    empty: tuple[int, ...]
+    cut: tuple[int, ...]
+    offset: float | None
+    drift: float | None
+    dropped: tuple[int, ...]
+    missing: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Of the case: ``lengths`` (N,) frames for which each point is visible, ``hand`` median residual of the hands' rigid motion [m]."""
+
+    cameras: tuple[CameraQuality, ...]
+    points: int
+    alive: float
+    lengths: np.ndarray
+    hand: float
+    warnings: tuple[str, ...]
+
+
+def measure_quality(recording, timing, sights, scenario, residual, options) -> Quality:
+    """Quality of a ``scenario`` that was built from ``sights`` of the cameras of ``recording``."""
+    cameras = tuple(_camera(number, raw, timing, sights[number], scenario) for number, raw in enumerate(recording.cameras))
+    alive = float(scenario.visible[-1].mean())
+    hand = float(np.nanmedian(residual)) if np.isfinite(residual).any() else float("nan")
+    guessed = np.flatnonzero(~np.isfinite(residual))
+    warnings = [*_about_cameras(cameras, timing), *_about_setup(recording, options)]
+    if alive < 0.5:
+        warnings.append(f"only {100 * alive:.0f} % of the points are still seen in the last frame: later motion is weakly observed")
+    if len(guessed):
+        warnings.append(f"hands have too few tracks in frames {frames_said(guessed)}: their motion there is by their cloud or their speed")
+    return Quality(cameras, scenario.points.shape[1], alive, scenario.visible.sum(0), hand, tuple(warnings))
+
+
+def _camera(number, raw, timing, sight, scenario):
+    counts = sight.object.sum((1, 2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        coverage = float(np.nanmedian(np.where(counts > 0, sight.counts / counts, np.nan))) if counts.any() else 0.0
+    thing = ~sight.hand
+    border = sight.object[:, [0, -1]].any((1, 2)) | sight.object[:, :, [0, -1]].any((1, 2))
+    clock = timing.clocks[number]
+    return CameraQuality(
+        raw.name,
+        coverage,
+        float(sight.visible[-1, thing].mean()) if thing.any() else 0.0,
+        _reprojection(number, timing, sight, scenario),
+        float(sight.noise),
+        tuple(np.flatnonzero(counts == 0).tolist()),
+        tuple(np.flatnonzero(border).tolist()),
+        clock.offset,
+        clock.drift,
+        clock.dropped,
+        tuple(np.flatnonzero(timing.missing[number]).tolist()),
+    )
+
+
+def _reprojection(number, timing, sight, scenario):
+    """Median pixels between tracks and the body's points that lay nearest to them in frame 0; also what lags of the camera do to it."""
+    from scipy.spatial import cKDTree
+
+    chosen = np.flatnonzero(~sight.hand & sight.known[0])
+    if not len(chosen):
+        return float("nan")
+    nearest = cKDTree(scenario.points[0]).query(sight.points[0, chosen])[1]
+    offset = sight.points[0, chosen] - scenario.points[0, nearest]
+    missed = []
+    for t in range(1, len(sight.pixels)):
+        both = sight.visible[t, chosen] & scenario.visible[t, nearest]
+        pixels, _ = scenario.cameras[number].project(scenario.points[t, nearest[both]] + offset[both])
+        missed.append(np.linalg.norm(pixels - sight.pixels[t, chosen[both]], axis=1))
+    missed = np.concatenate(missed) if missed else np.zeros(0)
+    return float(np.median(missed)) if len(missed) else float("nan")
+
+
+def _about_cameras(cameras, timing):
+    for one in cameras:
+        if one.empty:
+            yield f"camera {one.name} sees nothing of the object in frames {frames_said(one.empty)}: they have no image scores there"
+        if one.cut:
+            yield f"camera {one.name}: the object touches the border of the picture in frames {frames_said(one.cut)}"
+        if one.missing:
+            yield f"camera {one.name} has no picture of its own for frames {frames_said(one.missing)}: the nearest stands in"
+        if one.coverage < 0.5:
+            yield f"camera {one.name} measures depth on {100 * one.coverage:.0f} % of the object only: few points are lifted from it"
+        if one.reprojection > 5:
+            yield f"camera {one.name}: points miss its tracks by {one.reprojection:.1f} pixels: is it calibrated, and its clock right?"
+    if len(cameras) > 1 and any(one.offset is None for one in cameras):
+        yield "nobody wrote arrivals down: all stamps are taken to be of one clock"
+    if timing.spread > 0.25 / timing.fps:
+        yield f"cameras take a frame {1000 * timing.spread:.0f} ms apart: images of other cameras than the first are that much off"
+
+
+def _about_setup(recording, options):
+    if len(recording.cameras) == 1:
+        yield "one camera: the far side was never seen, no silhouette or depth from other sides; chamfer speaks of the near side alone"
+    elif len(recording.cameras) == 2:
+        yield "two cameras: what both do not see was never measured"
+    if all(raw.frames.background() is None for raw in recording.cameras):
+        yield "no picture of the empty scene: masks are by depth alone where the object lies flat"
+    if options.shape == "none":
+        yield "no shape: nothing but tracked points, so that solids have no inside"
+    yield "nobody annotated tracks: track_error cannot be scored"
+
+
+def frames_said(frames) -> str:
+    """[0, 1, 2, 7] as '0-2, 7'."""
+    frames = [int(t) for t in frames]
+    starts = [t for i, t in enumerate(frames) if i == 0 or frames[i - 1] != t - 1]
+    ends = [t for i, t in enumerate(frames) if i == len(frames) - 1 or frames[i + 1] != t + 1]
+    return ", ".join(f"{a}-{b}" if b > a else str(a) for a, b in zip(starts, ends, strict=True))

@@ -1,0 +1,96 @@
+"""Recordings of RealSense cameras: the ``.db3`` files that librealsense writes, and ``.bag`` where it still reads them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..files import check_file
+from .pictures import Held
+from .recording import RawCamera, RawRecording
+
+__all__ = ["SUFFIXES", "imported", "read_realsense"]
+
+SUFFIXES = (".db3", ".bag")
+WAIT = 2000  # ms for a frame of a file, which is there or never comes
+
+
+def imported():
+    """pyrealsense2. Raises ImportError that says what to install."""
+    try:
+        import pyrealsense2
+    except ImportError as error:
+        raise ImportError(f"RealSense needs 'pip install twinbench[capture]', and on Debian libusb-1.0-0 ({error})") from error
+    return pyrealsense2
+
+
+def read_realsense(files) -> RawRecording:
+    """One file for each camera, which is named like it. Depth is taken to colour's pixels where they differ; it has no extrinsics yet.
+
+    Pictures are held in memory: 1.2 MB for a frame of 424 x 240. Raises ValueError naming the file, ImportError without pyrealsense2.
+    """
+    files = [Path(file) for file in files]
+    for file in files:
+        check_file(file)
+        if file.suffix not in SUFFIXES:
+            raise ValueError(f"{file}: a file must be a RealSense recording ({' or '.join(SUFFIXES)}); other recordings are folders")
+    return RawRecording(files[0].stem, tuple(_camera(imported(), file) for file in files))
+
+
+def _camera(rs, file):
+    pipeline, config = rs.pipeline(), rs.config()
+    try:
+        rs.config.enable_device_from_file(config, str(file), repeat_playback=False)
+        profile = pipeline.start(config)
+    except RuntimeError as error:
+        raise ValueError(f"{file}: cannot be opened as a RealSense recording ({error})") from None
+    try:
+        profile.get_device().as_playback().set_real_time(False)
+        align = _alignment(rs, file, profile)
+        taken = []
+        while True:
+            good, frames = pipeline.try_wait_for_frames(WAIT)
+            if not good:
+                break
+            frames = align.process(frames) if align else frames
+            depth, color = frames.get_depth_frame(), frames.get_color_frame()
+            if depth and color:
+                unit = float(depth.get_units())
+                taken.append((color.get_timestamp() / 1000, _rgb(rs, file, color), np.array(depth.get_data(), np.uint16)))
+        intrinsics = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
+    finally:
+        pipeline.stop()
+    if not taken:
+        raise ValueError(f"{file}: must hold frames of colour and depth together, got none")
+    taken = _once(taken)
+    k = [[intrinsics.fx, 0, intrinsics.ppx], [0, intrinsics.fy, intrinsics.ppy], [0, 0, 1]]
+    stamps, colors, depths = zip(*taken, strict=True)
+    return RawCamera(file.stem, k, None, intrinsics.width, intrinsics.height, list(stamps), unit, Held(colors, depths))
+
+
+def _alignment(rs, file, profile):
+    """What brings depth to colour's pixels, or None where they have one size and intrinsics, as after recording aligned frames."""
+    streams = {
+        stream.stream_type(): stream.as_video_stream_profile() for stream in profile.get_streams() if stream.is_video_stream_profile()
+    }
+    if not {rs.stream.depth, rs.stream.color} <= set(streams):
+        raise ValueError(f"{file}: must hold the streams depth and color, got {sorted(s.name for s in streams)}")
+    depth, color = (streams[s].get_intrinsics() for s in (rs.stream.depth, rs.stream.color))
+    same = all(getattr(depth, k) == getattr(color, k) for k in ("width", "height", "fx", "fy", "ppx", "ppy"))
+    return None if same else rs.align(rs.stream.color)
+
+
+def _rgb(rs, file, frame):
+    kind, data = frame.get_profile().format(), np.array(frame.get_data())
+    if kind == rs.format.rgb8:
+        return data
+    if kind == rs.format.bgr8:
+        return np.ascontiguousarray(data[..., ::-1])
+    raise ValueError(f"{file}: colour must be rgb8 or bgr8, got {kind.name}")
+
+
+def _once(taken):
+    """Framesets in the order of their stamps; one in which nothing of colour is new is left out."""
+    taken = sorted(taken, key=lambda one: one[0])
+    return [one for k, one in enumerate(taken) if k == 0 or one[0] > taken[k - 1][0]]

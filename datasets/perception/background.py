@@ -1,0 +1,194 @@
+"""Masks without a network: what stands on the table, by depth and by what the empty table looked like; hands by their colour."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .base import Clip, Masker, Masks
+
+__all__ = ["BackgroundMasks"]
+
+SKIN_CR, SKIN_CB = (135, 180), (85, 135)  # of YCrCb: the usual range of skin (Chai and Ngan 1999), somewhat wider
+BINS = 32  # of each of the two colour axes of Lab
+
+
+@dataclass(frozen=True)
+class BackgroundMasks(Masker):
+    """What rises from the table, or differs from the picture of the empty one. Pixels of the rim belong to what most of them shows.
+
+    near, far  depths that count [m], as published
+    above      what is higher above the table stands on it [m]; depth scatters by some millimetres
+    differs    distance of Lab colours, in units of its scatter, by which a pixel is not the empty table's
+    least      pixels: smaller pieces are noise
+    most       share of the pixels with depth: where more stands on the table, it is not the table
+    """
+
+    name = "background"
+    about = "depth, colour and skin; no weights"
+    near: float = 0.2
+    far: float = 1.5
+    above: float = 0.005
+    differs: float = 5.0
+    least: int = 25
+    most: float = 0.7
+
+    def masks(self, clip: Clip) -> Masks:
+        if clip.ground is None and clip.empty is None:
+            raise ValueError(
+                f"camera {clip.name}: masks need a table or a picture of the empty scene: calibrate, record the empty scene, or choose sam2"
+            )
+        empty = None if clip.empty is None else _lab(clip.empty[0])
+        standing = [self._standing(clip, t, empty) for t in range(len(clip.colors))]
+        if standing[0].sum() < self.least:
+            raise ValueError(f"camera {clip.name}: nothing stands on the table in frame 0 ({int(standing[0].sum())} pixels)")
+        if (share := standing[0].sum() / max((clip.depths[0] > 0).sum(), 1)) > self.most:
+            rule = f"at most {100 * self.most:.0f} % of what has depth may stand on the table in frame 0"
+            raise ValueError(f"camera {clip.name}: {rule}, got {100 * share:.0f} %: is its pose upside down, or the table another?")
+        hand_seeds, object_seeds = self._seeds(clip, standing[0])
+        if not object_seeds.any():
+            raise ValueError(f"camera {clip.name}: no object in frame 0, all that stands there has the colour of hands; click on it")
+        ratio = _ratio(clip.colors[0], object_seeds, hand_seeds)
+        found = [self._parted(standing[t], clip.colors[t], ratio) for t in range(len(standing))]
+        return Masks(np.array([f[0] for f in found]), np.array([f[1] for f in found]))
+
+    def _standing(self, clip, frame, empty):
+        """(H, W) bool: what is no table."""
+        import cv2
+
+        depth, lab = clip.depths[frame], _lab(clip.colors[frame])
+        known = (depth > self.near) & (depth < self.far)
+        rough = np.zeros(depth.shape, bool)
+        if clip.ground is not None:
+            rough = known & (clip.ground.height(_lifted(clip.camera, depth)) > self.above)
+            rough = cv2.morphologyEx(rough.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
+        elif clip.empty is not None:
+            rough = known & (clip.empty[1] > 0) & (clip.empty[1] - depth > self.above)
+        if empty is not None:
+            apart = np.linalg.norm(lab - empty, axis=-1)
+            scatter = np.median(apart) / 1.54  # of three Gaussian coordinates the distance has this median
+            rough |= cv2.medianBlur((apart > self.differs * max(scatter, 0.5)).astype(np.uint8), 3) > 0
+        rough = _pieces(_filled(cv2.morphologyEx(rough.astype(np.uint8), cv2.MORPH_CLOSE, _disc(2)) > 0), self.least)
+        return _pieces(_rim(rough, lab, empty), self.least)
+
+    def _seeds(self, clip, standing):
+        """Pixels of frame 0 that are surely a hand, and surely the object."""
+        import cv2
+
+        _, cr, cb = cv2.split(cv2.cvtColor(clip.colors[0], cv2.COLOR_RGB2YCrCb))
+        skin = (cr >= SKIN_CR[0]) & (cr <= SKIN_CR[1]) & (cb >= SKIN_CB[0]) & (cb <= SKIN_CB[1])
+        hand, thing = standing & skin, standing & ~skin
+        prompts = clip.prompts
+        if prompts.hand:
+            hand = standing & _near(prompts.hand, standing.shape)
+        if prompts.object:
+            thing = standing & _near(prompts.object, standing.shape)
+        elif prompts.box:
+            left, top, right, bottom = prompts.box
+            inside = np.zeros_like(standing)
+            inside[top:bottom, left:right] = True
+            thing &= inside
+        return hand & ~thing, thing
+
+    def _parted(self, standing, color, ratio):
+        """What stands there as object and hand."""
+        import cv2
+
+        if ratio is None:
+            return standing, np.zeros_like(standing)
+        a, b = _bins(color)
+        score = cv2.GaussianBlur(np.where(standing, ratio[a, b], 0).astype(np.float32), (0, 0), 1.0)
+        thing = _pieces(standing & (score > 0), self.least // 2)
+        hand = _pieces(standing & ~thing, self.least // 2)
+        return thing, hand
+
+
+def _rim(rough, lab, empty):
+    """``rough`` with its rim decided by colour: a pixel's mixture a F + (1 - a) B of foreground and background belongs to F where a > 1/2.
+
+    F and B are means of what is surely one or the other nearby; B is the empty table's own where that was recorded.
+    """
+    import cv2
+
+    inner = cv2.erode(rough.astype(np.uint8), _disc(2))
+    outer = 1 - cv2.dilate(rough.astype(np.uint8), _disc(2))
+    band = (inner == 0) & (outer == 0)
+    front, behind = _nearby(lab, inner), empty if empty is not None else _nearby(lab, outer)
+    way = front - behind
+    share = ((lab - behind) * way).sum(-1) / np.maximum((way**2).sum(-1), 1.0)
+    return (inner > 0) | (band & (share > 0.5) & np.isfinite(share))
+
+
+def _nearby(lab, where):
+    """Mean of ``lab`` over ``where``, weighted by nearness."""
+    import cv2
+
+    weight = cv2.GaussianBlur(where.astype(np.float32), (0, 0), 2.5)
+    mean = cv2.GaussianBlur(lab * where[..., None].astype(np.float32), (0, 0), 2.5)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(weight[..., None] > 1e-4, mean / weight[..., None], np.nan)
+
+
+def _ratio(color, thing, hand):
+    """(BINS, BINS) log of how much likelier a colour is the object's than a hand's; None where no hand is known."""
+    import cv2
+
+    if hand.sum() < 10:
+        return None
+    a, b = _bins(color)
+    counts = []
+    for part in (thing, hand):
+        histogram = np.zeros((BINS, BINS), np.float32)
+        np.add.at(histogram, (a[part], b[part]), 1)
+        counts.append(cv2.GaussianBlur(histogram / histogram.sum(), (0, 0), 1.0) + 1e-5)
+    return np.log(counts[0] / counts[1])
+
+
+def _bins(color):
+    lab = _lab(color)
+    return tuple(np.clip(((lab[..., k] + 64) * BINS / 128).astype(int), 0, BINS - 1) for k in (1, 2))
+
+
+def _lab(color):
+    """(H, W, 3) float32 CIE Lab."""
+    import cv2
+
+    return cv2.cvtColor(np.ascontiguousarray(color, np.float32) / np.float32(255), cv2.COLOR_RGB2LAB)
+
+
+def _lifted(camera, depth):
+    """(H, W, 3) world points of ``depth`` (H, W) [m]."""
+    rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]]
+    local = np.stack([columns, rows, np.ones_like(rows)], -1) @ np.linalg.inv(camera.intrinsics).T * depth[..., None]
+    return local @ camera.camera_to_world[:3, :3].T + camera.camera_to_world[:3, 3]
+
+
+def _pieces(mask, least):
+    """``mask`` without pieces of fewer than ``least`` pixels."""
+    import cv2
+
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    keep = stats[:, cv2.CC_STAT_AREA] >= least
+    keep[0] = False
+    return keep[labels]
+
+
+def _filled(mask, largest=40):
+    """``mask`` with holes of at most ``largest`` pixels closed: what depth did not measure."""
+    return mask | (~mask & ~_pieces(~mask, largest + 1))
+
+
+def _disc(radius):
+    import cv2
+
+    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+
+
+def _near(clicks, shape, radius=6):
+    import cv2
+
+    found = np.zeros(shape, np.uint8)
+    for click in clicks:
+        cv2.circle(found, tuple(map(int, click)), radius, 1, -1)
+    return found > 0

@@ -1,0 +1,37 @@
+"""Models of masks and tracks by name."""
+
+from __future__ import annotations
+
+from ..collection import nearest
+from .background import BackgroundMasks
+from .base import Masker, Tracker
+from .flow import FlowTracks
+from .models import CoTracker, Sam2
+
+__all__ = ["masker", "maskers", "tracker", "trackers"]
+
+
+def maskers() -> dict[str, type[Masker]]:
+    """All there are; the first is the default."""
+    return {one.name: one for one in (BackgroundMasks, Sam2)}
+
+
+def trackers() -> dict[str, type[Tracker]]:
+    """All there are; the first is the default."""
+    return {one.name: one for one in (FlowTracks, CoTracker)}
+
+
+def masker(name: str) -> Masker:
+    """Raises ValueError with the nearest name where there is none of that."""
+    return _made("masks", name, maskers())
+
+
+def tracker(name: str) -> Tracker:
+    """Raises ValueError with the nearest name where there is none of that."""
+    return _made("tracks", name, trackers())
+
+
+def _made(kind, name, known):
+    if name not in known:
+        raise ValueError(f"unknown model of {kind} {name!r}; {nearest(name, known)}")
+    return known[name]()
