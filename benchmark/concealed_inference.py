@@ -18,16 +18,32 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..diagnosis.config import DiagnosisConfig
 from ..diagnosis.inference import infer
-from ..diagnosis.inference.infer import Answer
+from ..diagnosis.inference.phases import Answer
+from ..diagnosis.inference.significance import conformal
 from ..methods.continuum import Continuum
 from ..methods.continuum.config import Config
 from ..methods.continuum.twin import ContinuumTwin
 from .opening import open_scenario
 from .solid_oracle import simulated
 
-__all__ = ["case_row", "main", "ranks", "scored"]
+__all__ = ["case_row", "main", "pooled", "ranks", "scored"]
 
-SHOWN = ("set", "case", "effect", "verdict", "p", "p_misfit", "p_scan", "first", "probability", "gain", "gain_error", "rank_linear", "rank")
+SHOWN = (
+    "set",
+    "case",
+    "effect",
+    "verdict",
+    "p",
+    "p_misfit",
+    "p_scan",
+    "p_conformal",
+    "first",
+    "probability",
+    "gain",
+    "gain_error",
+    "rank_linear",
+    "rank",
+)
 SHOWN += ("runs", "run_cpu", "fit_cpu", "cpu", "wall")
 
 
@@ -83,6 +99,13 @@ def scored(answer: Answer, label: dict) -> dict:
     return row | dict(detectable_mm=known.get(truth, np.nan), moved_mm=1e3 * label["displacement"])
 
 
+def pooled(rows) -> list[float]:
+    """Of each row, the p of its larger standardised statistic among those of sound rows; a sound one is not among its own controls."""
+    far = [max(row["far_misfit"], row["far_scan"]) for row in rows]
+    sound = [k for k, row in enumerate(rows) if row["effect"] == "sound"]
+    return [conformal(far[k], [far[j] for j in sound if j != k]) for k in range(len(rows))]
+
+
 def ranks(answer: Answer, truth: str) -> tuple[float, float]:
     """Of ``truth`` among effects, 1 the likeliest: by the evidence of the scan alone, and after refits; NaN for what was not asked."""
     best: dict[str, float] = {}
@@ -120,6 +143,7 @@ def main(arguments=None) -> None:
             pd.DataFrame(rows).to_csv(given.out, index=False)
     table = pd.DataFrame(rows)
     if len(table):
+        table["p_conformal"] = pooled(rows)
         print(table[[name for name in SHOWN if name in table]].round(3).to_string(index=False))
 
 

@@ -8,7 +8,7 @@ __all__ = ["EFFECTS"]
 ALL = ("solid", "rope", "sheet")
 
 EFFECTS = (
-    Effect.of_term("environment", terms.Wind, ALL, shapes={"wind_speed": (4.0,)}),
+    Effect.of_term("environment", terms.Wind, ALL, shapes={"wind_speed": (2.0, 4.0)}),
     Effect.of_term("environment", terms.QuadraticDrag, ALL),
     Effect.of_term("environment", terms.GravityTilt, ALL),
     Effect.of_term("environment", terms.AddedMass, ALL, shapes={"added_mass_within": (0.03,)}),

@@ -4,9 +4,9 @@
 from their runs what a refit of the reference would; ``covariance`` makes of the rest the distribution of a sound twin's error;
 ``likelihood`` weighs by it; ``scan`` asks every effect of the catalogue; ``significance`` turns misfit and scan into p-values by members
 left out; ``refit`` fits the best effects in full; ``budget`` says what is left in mm and what size of each effect would have been found;
-``infer`` runs them in this order.
+``phases`` runs them in this order.
 """
 
-from .infer import infer
+from .phases import infer
 
 __all__ = ["infer"]

@@ -126,7 +126,7 @@ class Blocks:
         size = len(full) / max(1, len(np.unique(self.label)))
         keep = 1 - size / (size + len(strays) / max(1, len(np.unique(self.label))))
         least = LEAST_NOISE**2 / np.maximum(np.repeat(np.bincount(self.weights.tocoo().row), 3), 1)
-        return keep * full + np.diag((1 - keep) * np.diag(full) + least)
+        return keep * full + np.diag((1 - keep) * np.diag(full) + np.maximum(0.0, least - np.diag(full)))
 
 
 def _bins(frames: int, train_end: int, config: DiagnosisConfig) -> np.ndarray:

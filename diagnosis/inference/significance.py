@@ -15,7 +15,7 @@ import numpy as np
 from .covariance import Prior, Scatter
 from .scan import Score, Signature, scores
 
-__all__ = ["Significance", "fitted_rows", "predictive", "significance"]
+__all__ = ["Significance", "conformal", "fitted_rows", "predictive", "significance"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,14 @@ def predictive(value: float, sample) -> tuple[float, float]:
     count = len(logs)
     far = (np.log(max(value, 1e-12)) - logs.mean()) / max(float(logs.std(ddof=1)) * np.sqrt(1 + 1 / count), 1e-12)
     return float(t.sf(far, count - 1)), float(far)
+
+
+def conformal(value: float, controls: Sequence[float]) -> float:
+    """p of ``value`` among standardised statistics of frozen sound ``controls``, with which it is exchangeable if it is sound.
+
+    (1 + how many are as large) / (1 + all): split-conformal (Vovk et al. 2005), right for any distribution, and at least 1 / (1 + n).
+    """
+    return (1 + sum(c >= value for c in controls)) / (1 + len(controls))
 
 
 def fitted_rows(signature: Signature, rows) -> Signature:

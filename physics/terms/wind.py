@@ -36,7 +36,7 @@ class Wind(Term):
     name = "wind"
     stage = "body"
     parameters = (
-        *(Parameter(f"wind_{axis}", 0.0, -20.0, 20.0, "m/s^2", f"pull per mass of the wind on what is at rest, {axis}") for axis in "xyz"),
+        *(Parameter(f"wind_{axis}", 0.0, -60.0, 60.0, "m/s^2", f"pull per mass of the wind on what is at rest, {axis}") for axis in "xyz"),
         Parameter("wind_speed", 3.0, 0.2, 50.0, "m/s", "speed of the air", "log"),
     )
     law = blow
