@@ -11,6 +11,7 @@ from ...datasets.scenario import Observed
 from ...methods.continuum.bodies import Body
 from ...methods.continuum.body import body_of
 from ...methods.continuum.gridding import SLIVER
+from ...methods.continuum.hands import groups_of
 from ...methods.continuum.scene import Scene
 from ...methods.continuum.solids import Solid
 from ...methods.continuum.unknowns import Unknown, members
@@ -68,7 +69,17 @@ def ran(member: Member, forward: Forward, config: DiagnosisConfig) -> np.ndarray
 
 
 def _scene(scene: Scene, recording: Observed, member: Member, config: DiagnosisConfig) -> Scene:
-    return replace(scene, body=_body(scene.body, recording, member, config))
+    """Another body in hands that are told by part of their controllers, where these are no markers on it."""
+    body = _body(scene.body, recording, member, config)
+    if not config.dropped or (recording.grips >= 0).any():
+        return replace(scene, body=body)
+    random, kept = np.random.default_rng(member.seed), []
+    for group in groups_of(recording.controllers):  # the first stays, by which hands are ordered
+        kept += [group[0], *(c for c in group[1:] if random.random() >= config.dropped)]
+    kept = np.sort(kept)
+    fewer = replace(recording, controllers=recording.controllers[:, kept], grips=recording.grips[kept])
+    other = Scene.of(fewer, body, speeds=scene.speeds, contact=scene.contact)
+    return other if len(other.hands) == len(scene.hands) else replace(scene, body=body)
 
 
 def _body(body: Body, recording: Observed, member: Member, config: DiagnosisConfig) -> Body:

@@ -121,8 +121,9 @@ def scores(likelihood: Likelihood, residual, catalogue: Sequence[Signature]) -> 
     The statistic compares the misfit that a candidate explains with what is left (Fisher's F), so that it does not depend on the scale of
     the covariance; the evidence is that of a linear effect with normal priors. An amount that can only be positive has half of the prior.
     """
-    white = likelihood.whitened(residual)
-    ways = likelihood.whitened(np.concatenate([s.columns for s in catalogue], 1)) if catalogue else np.zeros((len(white), 0))
+    if not catalogue:
+        return []
+    white, ways = likelihood.whitened(residual), likelihood.whitened(np.concatenate([s.columns for s in catalogue], 1))
     parts = np.split(ways, np.cumsum([s.columns.shape[1] for s in catalogue])[:-1], axis=1)
     return [_score(likelihood.degrees, white, own, one) for own, one in zip(parts, catalogue, strict=True)]
 
