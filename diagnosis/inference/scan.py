@@ -16,6 +16,7 @@ __all__ = ["Score", "Signature", "score", "scores", "signatures"]
 
 CELLS_IN_ONE = ("body", "velocity", "setup", "")  # stages whose laws cost little where they are at 0, asked in one system
 LEAST, MOST = 0.2, 5.0  # times the probing motion: outside of it a signature is measured again
+ALIKE = 0.01  # m, between the middles of a body in frame 0 of two recordings that begin alike
 SMALLEST = 1e-3  # mm: what moves less at its largest amount is not in this recording
 
 
@@ -51,12 +52,14 @@ class Score:
 def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Signature]:
     """What each candidate that shows in the recordings does.
 
-    By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is.
+    By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Effects
+    that have a place on the body are asked only where all recordings begin with the body in one place, since places are those of frame 0.
     """
     kind = forward.simulators[0].scene.body.kind
     grounded = all(s.scene.ground is not None for s in forward.simulators)
-    asked = [e for e in effects(kind) if grounded or not e.grounded]
     places = forward.blocks[0].regions
+    alike = all(np.linalg.norm(b.regions.mean(0) - places.mean(0)) < ALIKE for b in forward.blocks)
+    asked = [e for e in effects(kind) if (grounded or not e.grounded) and (alike or not e.place)]
     groups: dict[str, list] = {}
     for effect in asked:
         groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)

@@ -117,3 +117,15 @@ def test_unknowns_are_shifted_in_prior_deviations(twin, recording):
     forward = Forward.of(twin, [recording], CONFIG)
     modulus: Unknown = forward.unknowns[0]
     assert forward.values([1.0, 0.0])["youngs_modulus"] == pytest.approx(TRUE["youngs_modulus"] * np.exp(modulus.sd))
+
+
+def test_recordings_are_predicted_together(twin, recording):
+    # the same recording twice: a twin says the same of both but for frame 0, by whose noise (1 mm) the body of the second is laid; and what
+    # is one recording's own moves that one alone
+    forward = Forward.of(twin, [recording, recording], CONFIG)
+    both = forward.rows([TRUE, TRUE | {"rec1_grip0_shift_x": 0.004}])
+    first, second = np.split(both, 2, axis=1)
+    np.testing.assert_allclose(first[0], second[0], atol=3 * NOISE)
+    np.testing.assert_allclose(first[0], first[1], atol=1e-9)
+    assert np.abs(second[1] - second[0]).max() > 1e-4
+    assert len(forward.data) == 2 * len(Forward.of(twin, [recording], CONFIG).data)
