@@ -40,7 +40,7 @@ class Member:
 def drawn(forward: Forward, config: DiagnosisConfig, seed: int = 0) -> list[Member]:
     """``config.members`` members, space-filling. Of a small number of members every second one has twice as many steps."""
     low, high = forward.bounds
-    within = [(max(a, -2.0), min(b, 2.0)) for a, b in zip(low, high, strict=True)]  # in units of ``broad``
+    within = [(max(a, -2.0), min(b, 2.0)) for a, b in zip(low, high, strict=True)]
     span = np.log(config.stiffest)
     rates = [name for name in ("grip_rate", "coulomb_rate") if name in forward.simulators[0].system.values]
     ranges = [Unknown("cells", 1.0, config.finest, config.coarsest, "-", "log")]
