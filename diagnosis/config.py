@@ -23,8 +23,7 @@ class DiagnosisConfig:
     finest, coarsest  edge of a member's cells over the reference's. The truth is finer than any twin, so that most members are
     turned      standard deviation of the angle by which a member's grid is turned [degrees]: cells need not follow a body's axes
     dropped     share of the points of frame 0 and of a hand's controllers without which a member's body and hands are told: the mean of
-                half is as far from the mean of all as that is from the truth. Members that all had the recorded hands left the misfit of a
-                sound block at p = 0.05 and 0.02; with this it is 0.67
+                half is as far from the mean of all as that is from the truth.
     broad       of the prior's standard deviation, by which members' parameters are spread around the fit: within it a Gauss-Newton step is
                 right to a few per cent, and beyond it the reference is run again in any case
     rounds      of absorption; after the first the reference is run where the step led, so that its curvature is no error of sound twins
