@@ -37,12 +37,13 @@ class Simulator:
 
     ``values`` are dicts with the values of the body's kind, any parameter of a term by its name, and for hand k ``grip<k>_shift_x, _y, _z``
     [m] and ``grip<k>_reach``; ``frame_rate`` [1/s] where the scene's is not known; what is not there has its usual value.
-    ``extra`` are further terms.
+    ``extra`` are further terms; steps are ``finer`` times as many as are stable.
     """
 
     scene: Scene
     extra: tuple[Term, ...] = ()
     device: str = "cpu"
+    finer: int = 1
 
     @cached_property
     def system(self) -> System:
@@ -90,7 +91,7 @@ class Simulator:
         """How far layers or strands went into each other in a run."""
         rate = values.get("frame_rate", self.scene.fps)
         if rate != self.scene.fps:
-            return Simulator(replace(self.scene, fps=rate), self.extra, self.device).penetrations(values, frames)
+            return replace(self, scene=replace(self.scene, fps=rate)).penetrations(values, frames)
         one = self._complete(values)
         other = self._of(self.scene.body.under(one), self._known_steps)
         return penetrations(self.system, other._nodes([one], frames)[0].double().cpu().numpy(), self.scene.body.thickness)
@@ -120,7 +121,7 @@ class Simulator:
         found = [None] * len(values)
         for rate in np.unique(rates):
             own, known_steps = np.flatnonzero(rates == rate), self._known_rates.setdefault(_no_faster(rate), {})
-            other = Simulator(replace(self.scene, fps=float(rate)), self.extra, self.device)
+            other = replace(self, scene=replace(self.scene, fps=float(rate)))
             vars(other).update(system=self.system, _known_steps=known_steps, _rate_of_steps=_no_faster(rate))
             for k, path in zip(own, other.run([values[k] for k in own], frames, controllers), strict=True):
                 found[k] = path
@@ -160,7 +161,7 @@ class Simulator:
 
     def _of(self, body, known_steps=None) -> Simulator:
         """The same of another body, whose substeps are ``known_steps``' if they are given."""
-        other = Simulator(replace(self.scene, body=body), self.extra, self.device)
+        other = replace(self, scene=replace(self.scene, body=body))
         if known_steps is not None:
             vars(other)["_known_steps"] = known_steps
         return other
@@ -168,7 +169,8 @@ class Simulator:
     def _batch(self, values, frames, controllers=None, times=1):
         """(the batch of complete ``values``, with ``times`` as many substeps as usual, its inputs)."""
         substeps, rounds = np.array([self._steps(v) for v in values]).T
-        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=times * substeps, rounds=rounds, device=self.device)
+        substeps = self.finer * times * substeps
+        batch = Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)
         return batch, replace(batch.inputs, **self._inputs(batch, values, frames, controllers))
 
     def _corrected(self, batch, inputs):

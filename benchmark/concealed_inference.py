@@ -1,0 +1,151 @@
+"""The inference on concealed cases with known effects: ``python -m twinbench.benchmark.concealed_inference SET --out FILE``.
+
+A SET is a folder of concealed cases (``python -m twinbench.datasets.concealed``). A sound twin is fitted to the train frames of each case's
+first recording, and ``diagnosis.inference`` is asked about it. Its held-out frames tell gains; the other recording is not looked at. The
+label, which scores name, place and amount, is read after the answer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from ..datasets.scenario import Scenario
+from ..diagnosis.config import DiagnosisConfig
+from ..diagnosis.inference import infer
+from ..diagnosis.inference.phases import Answer
+from ..diagnosis.inference.significance import conformal
+from ..methods.continuum import Continuum
+from ..methods.continuum.config import Config
+from ..methods.continuum.twin import ContinuumTwin
+from .opening import open_scenario
+from .solid_oracle import simulated
+
+__all__ = ["case_row", "main", "pooled", "ranks", "scored"]
+
+SHOWN = (
+    "set",
+    "case",
+    "effect",
+    "verdict",
+    "p",
+    "p_misfit",
+    "p_scan",
+    "p_conformal",
+    "first",
+    "probability",
+    "gain",
+    "gain_error",
+    "rank_linear",
+    "rank",
+)
+SHOWN += ("runs", "run_cpu", "fit_cpu", "cpu", "wall")
+
+
+def fitted(recording: Scenario, kept: Path | None, cells: float, seed: int) -> ContinuumTwin:
+    """The sound twin; one that is ``kept`` there is not fitted again.
+
+    It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use.
+    """
+    if kept and kept.exists():
+        return ContinuumTwin.load(kept)
+    twin = Continuum().fitted([recording.observed()], Config(coarse=cells, refinement=0), seed=seed)
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        twin.save(kept)
+    return twin
+
+
+def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | None = None, seed: int = 0, progress=None) -> dict:
+    """The answer on one case and its score."""
+    root = Path(folder)
+    begun = time.time(), time.process_time()
+    recording = open_scenario(str(root / case / "fit"))
+    twin = fitted(recording, keep and Path(keep) / root.name / case / "twin", config.cells, seed)
+    spent = time.process_time() - begun[1]
+    answer = infer(twin, [recording], config, seed=seed, progress=progress)
+    label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
+    took = dict(fit_cpu=spent, cpu=time.process_time() - begun[1], wall=time.time() - begun[0], runs=answer.runs, run_cpu=answer.seconds)
+    return dict(set=root.name, case=case) | scored(answer, label) | took
+
+
+def scored(answer: Answer, label: dict) -> dict:
+    """What an answer says, and how right it is: p-values, ranks of the true effect, distance to its place [mm], amounts over true ones."""
+    test, truth = answer.test, label["effect"]
+    row = dict(effect=truth or "sound", verdict=answer.verdict, p=test.p, p_misfit=test.p_misfit, p_scan=test.p_scan)
+    row |= dict(far_misfit=test.standardised[0], far_scan=test.standardised[1], misfit=test.misfit, largest=test.largest)
+    row |= dict(prior=json.dumps(asdict(answer.prior)), budget=json.dumps([asdict(b) for b in answer.budget]))
+    if answer.named:
+        first = answer.named[0]
+        row |= dict(first=first.name, probability=first.probability, gain=first.gain.share, gain_error=first.gain.error)
+        row |= dict(parallel=" ".join(answer.parallel), amounts=json.dumps(first.amounts), sds=json.dumps(first.sds))
+    if truth is None:
+        return row
+    row |= dict(zip(("rank_linear", "rank"), ranks(answer, truth), strict=True))
+    own = next((n for n in answer.named if n.name == truth), None)
+    place = next((p for p in label["place"] if p), None)
+    if own:
+        row |= dict(own_gain=own.gain.share, own_gain_error=own.gain.error, own_amounts=json.dumps(own.amounts))
+        if own.place and place:
+            row["off_mm"] = 1e3 * float(np.linalg.norm(np.subtract(own.place, place["centroid"])))
+        true = simulated(label)
+        row["over_true"] = json.dumps({name: own.amounts[name] / true[name] for name in own.amounts if true.get(name)})
+    known = {d.name: d.size for d in sorted(answer.detectable, key=lambda d: -d.size)}
+    return row | dict(detectable_mm=known.get(truth, np.nan), moved_mm=1e3 * label["displacement"])
+
+
+def pooled(rows) -> list[float]:
+    """Of each row, the p of its larger standardised statistic among those of sound rows; a sound one is not among its own controls."""
+    far = [max(row["far_misfit"], row["far_scan"]) for row in rows]
+    sound = [k for k, row in enumerate(rows) if row["effect"] == "sound"]
+    return [conformal(far[k], [far[j] for j in sound if j != k]) for k in range(len(rows))]
+
+
+def ranks(answer: Answer, truth: str) -> tuple[float, float]:
+    """Of ``truth`` among effects, 1 the likeliest: by the evidence of the scan alone, and after refits; NaN for what was not asked."""
+    best: dict[str, float] = {}
+    for one in answer.test.scores:
+        best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
+    linear, full = sorted(best, key=lambda name: -best[name]), list(answer.probabilities)
+    return tuple(float(names.index(truth) + 1) if truth in names else np.nan for names in (linear, full))
+
+
+def main(arguments=None) -> None:
+    import pandas as pd
+
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.concealed_inference", description=__doc__.split("\n")[0])
+    parser.add_argument("set", help="folder of cases with labels.json")
+    parser.add_argument("--cases", nargs="+", help="some of them")
+    parser.add_argument("--members", type=int, default=DiagnosisConfig.members)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", help="folder in which fitted twins are kept, and looked for")
+    parser.add_argument("--out", help="CSV of all rows; cases that are in it are not diagnosed again")
+    given = parser.parse_args(arguments)
+    labels = json.loads((Path(given.set) / "labels.json").read_text(encoding="utf-8"))
+    rows = pd.read_csv(given.out).to_dict("records") if given.out and Path(given.out).exists() else []
+    done = {(row["set"], row["case"]) for row in rows}
+    for case in given.cases or sorted(labels):
+        if (Path(given.set).name, case) in done:
+            continue
+        try:
+            options = dict(keep=given.keep, seed=given.seed, progress=lambda said, case=case: print(f"{case}: {said}", flush=True))
+            rows.append(case_row(given.set, case, DiagnosisConfig(members=given.members), **options))
+        except Exception as error:  # one case must not end the others
+            print(f"{case}: {type(error).__name__}: {error}", flush=True)
+            continue
+        print(json.dumps(rows[-1]), flush=True)
+        if given.out:
+            pd.DataFrame(rows).to_csv(given.out, index=False)
+    table = pd.DataFrame(rows)
+    if len(table):
+        table["p_conformal"] = pooled(rows)
+        print(table[[name for name in SHOWN if name in table]].round(3).to_string(index=False))
+
+
+if __name__ == "__main__":
+    main()

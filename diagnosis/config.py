@@ -1,0 +1,71 @@
+"""The numbers of the diagnosis, each with its reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["DiagnosisConfig"]
+
+
+@dataclass(frozen=True)
+class DiagnosisConfig:
+    """What is chosen, not measured. Lengths in mm, times in s.
+
+    level       false alarms among sound recordings: 3 %, so that the best of a hundred controls still tells 0 from 9 of them
+    regions     of a body, whose tracks are averaged: 10 regions x 8 times x 3 components are 240 numbers, as many as a covariance of 300
+                takes in a few milliseconds, and fewer than the independent motions of a body of 50 cells
+    times       bins of the fitted frames, a quarter of a second or less each in a recording of 2 s
+    held_out    bins of the frames that were not fitted, which are a quarter to a third of them
+    fewest      tracks seen in a region within a bin, of which a mean and its error can be told: two more than a linear field has
+    members     sound twins: a variance from 15 is known to 18 %; 8, for a quick look, tell it to 27 %
+    cells       of the reference, by edge over those of the fitted twin: half as large again cost a third, and what they are off by is what
+                members differ in
+    finest, coarsest  edge of a member's cells over the reference's. The truth is finer than any twin, so that most members are
+    turned      standard deviation of the angle by which a member's grid is turned [degrees]: cells need not follow a body's axes
+    dropped     share of the points of frame 0 and of a hand's controllers without which a member's body and hands are told: the mean of
+                half is as far from the mean of all as that is from the truth.
+    broad       of the prior's standard deviation, by which members' parameters are spread around the fit: within it a Gauss-Newton step is
+                right to a few per cent, and beyond it the reference is run again in any case
+    rounds      of absorption; after the first the reference is run where the step led, so that its curvature is no error of sound twins
+    stiffest    of hands, contact: members' angular frequencies over the reference's, as far up and down (log-uniform)
+    motion      prior standard deviation of an effect's motion [mm]: effects that matter move a body by a few mm to a few cm
+    probe       motion by which a signature is measured [mm]: above rounding (0.01 mm) and within the effect's linear part
+    refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members
+    steps       of such a refit, of two runs each. Three of them left a wind of 15 mm far from where its refit would end
+    parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
+                the first does
+    strengths   of the prior covariance, in members; ``memories`` [s] and ``reaches`` (of the body's extent) of its correlation. They are
+                chosen by the score of members left out; 0 is no correlation
+    """
+
+    level: float = 0.03
+    regions: int = 10
+    times: int = 8
+    held_out: int = 3
+    fewest: int = 6
+    members: int = 16
+    cells: float = 1.5
+    finest: float = 0.6
+    coarsest: float = 1.2
+    turned: float = 15.0
+    dropped: float = 0.5
+    broad: float = 0.3
+    rounds: int = 2
+    stiffest: float = 1.5
+    motion: float = 20.0
+    probe: float = 1.0
+    refitted: int = 4
+    steps: int = 5
+    parallel: float = 0.95
+    strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
+    memories: tuple[float, ...] = (0.0, 0.15, 0.5, 1.5)
+    reaches: tuple[float, ...] = (0.0, 0.15, 0.4)
+
+    def __post_init__(self):
+        for name in ("regions", "times", "held_out", "fewest", "rounds", "refitted", "steps"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.members < 4:
+            raise ValueError(f"members must be at least 4, got {self.members}: fewer tell no variance")
+        if not 0 < self.level < 1:
+            raise ValueError(f"level must lie in (0, 1), got {self.level}")

@@ -1,0 +1,119 @@
+"""An effect: its name, its law, where it may act, and its amounts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import product
+
+import numpy as np
+
+from ...physics.terms.base import Term
+
+__all__ = ["KINDS", "Amount", "Candidate", "Effect"]
+
+KINDS = ("material", "environment", "contact", "grip", "measurement")
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A number of an effect that is 0 where the effect is absent; ``first`` is a size that is noticeable, in which it is nearly linear."""
+
+    name: str
+    first: float
+    low: float
+    high: float
+    unit: str
+
+    @property
+    def one_sided(self) -> bool:
+        return self.low >= 0 or self.high <= 0
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One way in which a sound twin's physics may be incomplete.
+
+    kind     of ``KINDS``
+    says     one clause, after "the twin lacks that ..."; ``motion``: what to record in order to see it
+    term     what it adds to a twin's physics, or None: values of terms that sound twins have
+    bodies   kinds of body that it is for
+    amounts  what is estimated; ``law`` turns their values into a simulator's where they are not the same
+    shapes   values to try of further parameters
+    place    prefix of parameters ``<place>_x, _y, _z`` [m] that say where on the body it is, "" for all of it; ``within``: how far
+    anchored whether it also has a place in the room, ``<place>_anchor_x, _y, _z`` [m], tried where the body was in frame 0
+    grounded whether it needs a ground
+    """
+
+    name: str
+    kind: str
+    says: str
+    term: type[Term] | None
+    bodies: tuple[str, ...]
+    amounts: tuple[Amount, ...]
+    shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    place: str = ""
+    within: str = ""
+    anchored: bool = False
+    grounded: bool = False
+    law: Callable[[Mapping[str, float]], dict[str, float]] | None = None
+    motion: str = ""
+
+    def __post_init__(self):
+        if self.kind not in KINDS:
+            raise ValueError(f"kind of effect {self.name} must be one of {', '.join(KINDS)}, got {self.kind!r}")
+
+    @classmethod
+    def of_term(cls, kind: str, term: type[Term], bodies: tuple[str, ...], **about) -> Effect:
+        """The effect that a term declares, with what ``about`` says otherwise."""
+        told, known = term.effect, {p.name: p for p in term.parameters}
+        amounts = tuple(
+            Amount(a, told.typical[a] or max(abs(v) for v in told.typical.values()), known[a].low, known[a].high, known[a].unit)
+            for a in told.amplitudes
+        )
+        usual = dict(name=told.name, says=told.says, amounts=amounts, shapes=told.shapes, motion=told.motion)
+        usual |= dict(place=told.place, within=told.within, anchored=f"{told.place}_anchor_x" in known)
+        return cls(kind=kind, term=term, bodies=bodies, **(usual | about))
+
+    @property
+    def stage(self) -> str:
+        """Of its term: effects of one stage are asked in one system."""
+        return self.term.stage if self.term else ""
+
+    def values(self, amounts: Mapping[str, float]) -> dict[str, float]:
+        """What a simulator is given for ``amounts``."""
+        return dict(self.law(amounts)) if self.law else dict(amounts)
+
+    def candidates(self, places) -> list[Candidate]:
+        """At all shapes and, where it has one, at each of ``places`` (P, 3) m."""
+        shapes = [dict(zip(self.shapes, row, strict=True)) for row in product(*self.shapes.values())]
+        if not self.place:
+            return [Candidate(self, shape) for shape in shapes]
+        spots = [{f"{self.place}_{axis}": float(c) for axis, c in zip("xyz", at, strict=True)} for at in places]
+        if self.anchored:
+            spots = [s | {f"{self.place}_anchor_{axis}": s[f"{self.place}_{axis}"] for axis in "xyz"} for s in spots]
+        return [Candidate(self, shape | spot) for shape in shapes for spot in spots]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a place and with a shape, ``fixed`` by parameter name."""
+
+    effect: Effect
+    fixed: Mapping[str, float]
+
+    @property
+    def place(self) -> np.ndarray | None:
+        """(3,) m in frame 0, or None: all of the body."""
+        prefix = self.effect.place
+        return np.array([self.fixed[f"{prefix}_{axis}"] for axis in "xyz"]) if prefix else None
+
+    def values(self, sizes) -> dict[str, float]:
+        """What a simulator is given where the amounts are ``sizes`` (m,)."""
+        amounts = {a.name: float(np.clip(s, a.low, a.high)) for a, s in zip(self.effect.amounts, sizes, strict=True)}
+        return dict(self.fixed) | self.effect.values(amounts)
+
+    @property
+    def words(self) -> str:
+        shown = ", ".join(f"{name} {value:.3g}" for name, value in self.fixed.items())
+        return f"{self.effect.name}" + (f" ({shown})" if shown else "")

@@ -1,0 +1,17 @@
+"""What acts on a body from outside: air, gravity, weights, cords, the ground."""
+
+from ...physics import terms
+from .effect import Effect
+
+__all__ = ["EFFECTS"]
+
+ALL = ("solid", "rope", "sheet")
+
+EFFECTS = (
+    Effect.of_term("environment", terms.Wind, ALL, shapes={"wind_speed": (2.0, 4.0)}),
+    Effect.of_term("environment", terms.QuadraticDrag, ALL),
+    Effect.of_term("environment", terms.GravityTilt, ALL),
+    Effect.of_term("environment", terms.AddedMass, ALL, shapes={"added_mass_within": (0.03,)}),
+    Effect.of_term("contact", terms.HiddenTether, ALL, shapes={"tether_within": (0.03,), "tether_length": (0.03,)}),
+    Effect.of_term("contact", terms.GroundAdhesion, ALL, shapes={"adhesion_reach": (0.01,)}, grounded=True),
+)

@@ -1,0 +1,27 @@
+"""Hands that give way, or that were recorded on another clock."""
+
+from ...methods.continuum.simulate import FIRM
+from ...physics import terms
+from .effect import Amount, Effect
+
+__all__ = ["EFFECTS"]
+
+
+def _yielding(amounts):
+    """A hand that sags by s |g| under what it carries is a spring of w^2 = 1 / s for a unit of mass, in series with the firm one."""
+    return {"grip_rate": (amounts["grip_sag"] + FIRM**-2) ** -0.5}
+
+
+EFFECTS = (
+    Effect(
+        "grip_compliance",
+        "grip",
+        "hands give way under what they carry",
+        None,
+        ("solid", "rope", "sheet"),
+        (Amount("grip_sag", 2e-4, 0.0, 0.02, "s^2"),),
+        law=_yielding,
+        motion="lifting, then shaking",
+    ),
+    Effect.of_term("measurement", terms.ControllerDelay, ("solid", "rope", "sheet")),
+)

@@ -1,0 +1,144 @@
+"""Twins of recordings as functions from numbers to block means."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...datasets.scenario import Scenario
+from ...methods.continuum.config import Config
+from ...methods.continuum.estimate import own_values
+from ...methods.continuum.joint import placed
+from ...methods.continuum.simulate import Simulator
+from ...methods.continuum.twin import ContinuumTwin
+from ...methods.continuum.unknowns import Unknown
+from ...physics.terms.base import Term
+from ..config import DiagnosisConfig
+from .blocks import Blocks
+
+__all__ = ["Cost", "Forward"]
+
+
+@dataclass
+class Cost:
+    """Roll-outs and the seconds that they took; shared by all that is derived from one ``Forward``."""
+
+    runs: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Forward:
+    """What twins predict of R recordings, in block means.
+
+    unknowns    n, as a fit of the twin had them (``rec<r>_...`` are one recording's own)
+    scaled      (n,) where the fit ended, in their scaled space, and their ``covariance`` (n, n) there
+    simulators  R, ``blocks`` R, each of all frames of its recording
+    """
+
+    unknowns: tuple[Unknown, ...]
+    scaled: np.ndarray
+    covariance: np.ndarray
+    told: Mapping[str, float]
+    recordings: tuple[Scenario, ...]
+    simulators: tuple[Simulator, ...]
+    blocks: tuple[Blocks, ...]
+    cost: Cost = field(default_factory=Cost)
+
+    @classmethod
+    def of(cls, twin: ContinuumTwin, recordings: Sequence[Scenario], config: DiagnosisConfig) -> Forward:
+        """Of a twin that was fitted to the train frames of ``recordings``; of these frames alone are bodies and hands told.
+
+        Raises ValueError for a twin that keeps no posterior.
+        """
+        if not twin.posterior:
+            raise ValueError(f"a twin must keep the posterior of its fit, got none (scenario {twin.scene.name})")
+        unknowns = tuple(Unknown(**{k: tuple(v) if isinstance(v, list) else v for k, v in u.items()}) for u in twin.posterior["unknowns"])
+        scenes = [twin.scene]
+        made = Config(contact="on" if twin.scene.contact else "off")
+        for one in recordings[1:]:
+            seen = one.observed()
+            scenes.append(placed(seen, twin.scene.body.laid(seen), made))
+        return cls(
+            unknowns,
+            np.array(twin.posterior["scaled"]),
+            np.array(twin.posterior["covariance"]),
+            {k: v for k, v in twin.values.items() if not k.startswith("grip") or k in ("grip_rate", "grip_damping")},
+            tuple(recordings),
+            tuple(
+                Simulator(_coarser(s, r.observed(), config.cells), twin.extra, twin.device) for s, r in zip(scenes, recordings, strict=True)
+            ),
+            tuple(Blocks.of(one, config) for one in recordings),
+        )
+
+    @property
+    def data(self) -> np.ndarray:
+        """(B,) m."""
+        return np.concatenate([b.data for b in self.blocks])
+
+    @property
+    def sds(self) -> np.ndarray:
+        """(n,) prior standard deviations of the unknowns, in their scaled space."""
+        return np.array([u.sd for u in self.unknowns])
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """((n,), (n,)) least and largest shifts from where the fit ended, in prior standard deviations."""
+        ends = np.array([u.ends for u in self.unknowns])
+        return (ends[:, 0] - self.scaled) / self.sds, (ends[:, 1] - self.scaled) / self.sds
+
+    def values(self, shift) -> dict[str, float]:
+        """The unknowns ``shift`` (n,) prior standard deviations from where the fit ended."""
+        return {u.name: u.decode(s) for u, s in zip(self.unknowns, self.scaled + shift * self.sds, strict=True)}
+
+    def paths(self, rows: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
+        """For each recording (K, T, M, 3) m, of dicts of values beside the twin's own; NaN from where one diverged."""
+        begun, found = time.process_time(), []
+        for r, (runner, blocks) in enumerate(zip(self.simulators, self.blocks, strict=True)):
+            found.append(runner.run([own_values({**self.told, **row}, r) for row in rows], len(blocks.points)))
+        self.cost.runs += len(rows) * len(self.simulators)
+        self.cost.seconds += time.process_time() - begun
+        return found
+
+    def rows(self, rows: Sequence[Mapping[str, float]]) -> np.ndarray:
+        """(K, B) m, block means; all NaN of a run that diverged."""
+        return np.concatenate([b.means(p) for b, p in zip(self.blocks, self.paths(rows), strict=True)], 1)
+
+    def at(self, shifts, more: Mapping[str, float] | None = None) -> np.ndarray:
+        """(K, B) m, at ``shifts`` (K, n), with ``more`` values."""
+        return self.rows([{**self.values(s), **(more or {})} for s in np.atleast_2d(shifts)])
+
+    def slopes(self, reference) -> np.ndarray:
+        """(B, n) m for a prior standard deviation of each unknown, by differences; 0 where a run diverged."""
+        steps = np.array([u.difference for u in self.unknowns]) / self.sds
+        low, high = self.bounds
+        signs = np.where(steps <= high, 1.0, -1.0)
+        shifts = np.diag(np.clip(signs * steps, low, high))
+        return np.nan_to_num((self.at(shifts) - reference).T / np.diag(shifts))
+
+    def with_terms(self, terms: Sequence[Term]) -> Forward:
+        """The same twins with further laws."""
+        made = [Simulator(s.scene, (*s.extra, *(_told(t, s.scene) for t in terms)), s.device) for s in self.simulators]
+        return replace(self, simulators=tuple(made))
+
+    def with_scenes(self, scenes, finer: int = 1) -> Forward:
+        """Other scenes of the same recordings, in steps ``finer`` times as many."""
+        made = [replace(s, scene=scene, finer=finer) for s, scene in zip(self.simulators, scenes, strict=True)]
+        return replace(self, simulators=tuple(made))
+
+
+def _coarser(scene, recording, cells):
+    """The scene in cells ``cells`` times as large; a body that is under load in frame 0 keeps its own."""
+    return scene if cells == 1.0 or scene.body.is_loaded else replace(scene, body=scene.body.coarser(recording, cells))
+
+
+def _told(term: Term, scene) -> Term:
+    """``term`` with what the recording says of its surroundings: gravity, the plane of the ground."""
+    known = {f"told_gravity_{axis}": float(g) for axis, g in zip("xyz", scene.gravity, strict=True)}
+    if scene.ground is not None:
+        plane = dict(zip(("normal_x", "normal_y", "normal_z", "offset"), (*scene.ground.normal, scene.ground.offset), strict=True))
+        known |= {f"adhesion_{name}": float(value) for name, value in plane.items()}
+    return term.with_values(**{name: value for name, value in known.items() if name in term.values})

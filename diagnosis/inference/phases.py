@@ -1,0 +1,223 @@
+"""Recordings and their fitted sound twin to a verdict: the phases of the inference."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ...datasets.scenario import Scenario
+from ...methods.continuum.twin import ContinuumTwin
+from ..config import DiagnosisConfig
+from .absorption import absorb
+from .budget import Budget, Detectable, budget, detectable
+from .covariance import Layout, Prior, Scatter, chosen
+from .forward import Forward
+from .members import drawn, ran
+from .refit import Gain, Refit, gained, refitted
+from .scan import Signature, signatures
+from .significance import Significance, fitted_rows, significance
+
+__all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "weighed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What roll-outs said, before anything is decided.
+
+    residual   (B,) m, of the sound twin, absorbed as members are; ``noisy`` (K, B) m: members' residuals as they would have been seen
+    posterior  (B, B) m^2, of predictions, by the fit's covariance
+    """
+
+    forward: Forward
+    reference: np.ndarray
+    slopes: np.ndarray
+    scatter: Scatter
+    residual: np.ndarray
+    noisy: np.ndarray
+    posterior: np.ndarray
+    catalogue: tuple[Signature, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """A candidate that was refitted: its ``probability`` among all effects, what it gains on frames that nobody fitted, where it acts."""
+
+    name: str
+    words: str
+    probability: float
+    log_evidence: float
+    amounts: dict[str, float]
+    sds: dict[str, float]
+    place: tuple[float, ...] | None
+    gain: Gain
+    refit: Refit
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """probabilities: of effects, given that one of them acts; ``parallel``: names that the recordings cannot tell from the first."""
+
+    verdict: str
+    test: Significance
+    prior: Prior
+    named: tuple[Named, ...]
+    probabilities: dict[str, float]
+    parallel: tuple[str, ...]
+    detectable: tuple[Detectable, ...]
+    budget: tuple[Budget, ...]
+    runs: int
+    seconds: float
+
+
+def infer(
+    twin: ContinuumTwin,
+    recordings: Sequence[Scenario],
+    config: DiagnosisConfig | None = None,
+    *,
+    seed: int = 0,
+    inflation: float = 1.0,
+    progress: Callable[[str], None] | None = None,
+) -> Answer:
+    """Whether, and by which effect, a sound ``twin`` fails the recordings whose train frames it was fitted to.
+
+    Train frames alone are fitted, tested and scanned. Frames held out, which no fit sees, say what a refit gains. Of other recordings
+    nothing is looked at. Raises NoTracks where points do not correspond, ValueError where too few members could be run.
+    """
+    config = config or DiagnosisConfig()
+    return weighed(gathered(twin, recordings, config, seed=seed, progress=progress), config, inflation=inflation, progress=progress)
+
+
+def gathered(
+    twin: ContinuumTwin,
+    recordings: Sequence[Scenario],
+    config: DiagnosisConfig,
+    *,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Evidence:
+    """All roll-outs but the refits': the reference and its slopes, members, signatures."""
+    tell = progress or (lambda _: None)
+    forward = Forward.of(twin, recordings, config)
+    nowhere = np.zeros(len(forward.unknowns))
+    paths = forward.paths([forward.values(nowhere)])
+    strays = [b.strays(p[0]) for b, p in zip(forward.blocks, paths, strict=True)]
+    reference = np.concatenate([b.means(p)[0] for b, p in zip(forward.blocks, paths, strict=True)])
+    if not np.isfinite(reference).all():
+        raise ValueError(f"the twin must not diverge in its own recordings (scenario {recordings[0].name})")
+    noise = _blockwise([b.noise(s) for b, s in zip(forward.blocks, strays, strict=True)])
+    slopes = forward.slopes(reference)
+    tell(f"slopes of {slopes.shape[1]} unknowns for {len(reference)} block means")
+    runs = np.array([ran(m, forward, config) for m in drawn(forward, config, seed)])
+    runs = runs[np.isfinite(runs).all(1)]
+    if len(runs) < 4:
+        raise ValueError(f"at least 4 members must not diverge, got {len(runs)} of {config.members} (scenario {recordings[0].name})")
+    tell(f"{len(runs)} sound twins")
+    layout = _joined([b.layout(r) for r, b in enumerate(forward.blocks)])
+    random = np.random.default_rng(seed)
+    draws = np.concatenate([random.choice([-1.0, 1.0], (len(runs), len(s))) @ s for s in strays], 1)
+    sd = np.where(layout.fitted, np.sqrt(np.diag(noise)), np.inf)
+    both = np.concatenate([runs, forward.data[None]])
+    left, _ = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
+    catalogue = signatures(forward, reference, config)
+    tell(f"signatures of {len(catalogue)} candidates")
+    each = slopes / forward.sds
+    scatter = Scatter(left[:-1], noise, slopes, layout)
+    return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, each @ forward.covariance @ each.T, tuple(catalogue))
+
+
+def weighed(
+    evidence: Evidence, config: DiagnosisConfig, *, inflation: float = 1.0, progress: Callable[[str], None] | None = None
+) -> Answer:
+    """The test, names, detectable sizes and the budget of what ``gathered`` returns; the best candidates are refitted, which costs runs."""
+    tell = progress or (lambda _: None)
+    e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
+    prior = chosen(scatter, config, e.noisy)
+    test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, inflation=inflation)
+    tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
+    rows = np.flatnonzero(layout.fitted)
+    fitting = scatter.only(rows).likelihood(prior, inflation=inflation, parameters=False)
+    common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
+    sound = refitted(*common, None, config)
+    best = [(e.catalogue[k], refitted(*common, e.catalogue[k], config)) for k in _best(test, e.catalogue, config.refitted)]
+    tell(f"{len(best)} candidates refitted")
+    chances = _chances(test, e.catalogue, {id(s): r.log_evidence - sound.log_evidence for s, r in best})
+    named = sorted((_named(e, s, r, sound, chances) for s, r in best), key=lambda n: -n.log_evidence)
+    verdict = "adequate" if test.p >= config.level else "named" if named and _confirmed(named[0]) else "unknown"
+    change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
+    first = next((s for s, r in best if named and r is named[0].refit), None)
+    return Answer(
+        verdict,
+        test,
+        prior,
+        tuple(named),
+        chances,
+        _parallel(scatter.only(rows).likelihood(prior), rows, first, e.catalogue, config) if first else (),
+        tuple(detectable(scatter, prior, test, e.catalogue, config.level)),
+        tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change)),
+        e.forward.cost.runs,
+        e.forward.cost.seconds,
+    )
+
+
+def _best(test: Significance, catalogue, count: int) -> list[int]:
+    """Indices of the likeliest candidates by linear evidence, one of each effect."""
+    found: dict[str, int] = {}
+    for k in np.argsort([-s.log_evidence for s in test.scores]):
+        found.setdefault(catalogue[k].name, int(k))
+    return list(found.values())[:count]
+
+
+def _chances(test: Significance, catalogue, full) -> dict[str, float]:
+    """By effect: all are alike before, and so are the candidates of one. Those that were refitted count by that evidence."""
+    from scipy.special import logsumexp
+
+    logs: dict[str, list[float]] = {}
+    for signature, one in zip(catalogue, test.scores, strict=True):
+        logs.setdefault(signature.name, []).append(full.get(id(signature), one.log_evidence))
+    names = list(logs)
+    means = np.array([logsumexp(v) - np.log(len(v)) for v in logs.values()])
+    shares = np.exp(means - logsumexp(means)) if len(means) else means
+    return {names[k]: float(shares[k]) for k in np.argsort(-shares)}
+
+
+def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances) -> Named:
+    candidate, layout = signature.candidate, e.scatter.layout
+    away = np.flatnonzero(~layout.fitted)
+    data = e.forward.data
+    cells = np.unique(np.c_[layout.record, layout.place], axis=0, return_inverse=True)[1].ravel()
+    gain = gained(data[away], sound.prediction[away], refit.prediction[away], cells[away])
+    names = [a.name for a in candidate.effect.amounts]
+    amounts, sds = (dict(zip(names, map(float, values), strict=True)) for values in (refit.amounts, refit.sd))
+    place = None if candidate.place is None else tuple(candidate.place.tolist())
+    evidence = refit.log_evidence - sound.log_evidence
+    return Named(signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, refit)
+
+
+def _confirmed(first: Named) -> bool:
+    """Whether it gains on frames that nobody fitted, by more than a standard error, or there are none to gain on."""
+    return bool(np.isnan(first.gain.share) or first.gain.share > first.gain.error)
+
+
+def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisConfig) -> tuple[str, ...]:
+    """Names of other effects in whose whitened span, or in the span of which, the first one's signature nearly lies."""
+    from scipy.linalg import subspace_angles
+
+    own = likelihood.whitened(fitted_rows(first, rows).columns)
+    found = []
+    for one in catalogue:
+        if one.name != first.name:
+            least = np.cos(subspace_angles(own, likelihood.whitened(fitted_rows(one, rows).columns)))[0]
+            found += [one.name] * bool(least > config.parallel)
+    return tuple(dict.fromkeys(found))
+
+
+def _blockwise(parts) -> np.ndarray:
+    from scipy.linalg import block_diag
+
+    return block_diag(*parts)
+
+
+def _joined(parts: Sequence[Layout]) -> Layout:
+    return Layout(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Layout)))

@@ -1,0 +1,131 @@
+"""A candidate fitted in full: its amounts and all that a sound twin's fit may change, weighed by the error of sound twins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config import DiagnosisConfig
+from .forward import Forward
+from .likelihood import Likelihood
+from .scan import Signature
+
+__all__ = ["Gain", "Refit", "gained", "refitted"]
+
+TRIALS = (1.0, 0.4)  # of a Gauss-Newton step, side by side
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Share of the squared error of block means that were not fitted which a refit removes, and its standard error, by a jackknife."""
+
+    share: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """shift (n,) of the unknowns in prior standard deviations; ``amounts`` (m,) of the effect with standard deviations ``sd`` (m,), in its
+    parameters' units; ``prediction`` (B,) m; ``log_evidence`` by Laplace's approximation."""
+
+    shift: np.ndarray
+    amounts: np.ndarray
+    sd: np.ndarray
+    prediction: np.ndarray
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """numbers (n + m,) in prior standard deviations, the prediction (B,) there, and the negative log posterior."""
+
+    numbers: np.ndarray
+    prediction: np.ndarray
+    cost: float
+
+
+def refitted(
+    forward: Forward, data, reference, slopes, likelihood: Likelihood, rows, signature: Signature | None, config: DiagnosisConfig
+) -> Refit:
+    """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
+
+    likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
+    are the shared ones, corrected after each step by what it missed (Broyden 1965).
+    """
+    count = slopes.shape[1]
+    wide = np.zeros(0) if signature is None else signature.unit * signature.spread  # amounts of one prior standard deviation
+    jacobian = slopes if signature is None else np.c_[slopes, signature.columns * signature.spread]
+    law = signature and signature.candidate.effect.term
+    twins = forward.with_terms([law()]) if law else forward
+    low, high = forward.bounds
+    if signature is not None:
+        amounts = signature.candidate.effect.amounts
+        low, high = np.r_[low, [a.low for a in amounts] / wide], np.r_[high, [a.high for a in amounts] / wide]
+
+    def run(numbers):
+        more = [{} if signature is None else signature.candidate.values(row[count:] * wide) for row in numbers]
+        return twins.rows([{**forward.values(row[:count]), **one} for row, one in zip(numbers, more, strict=True)])
+
+    def place(numbers, prediction):
+        if not np.isfinite(prediction).all():
+            return _Place(numbers, prediction, np.inf)
+        return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
+
+    at = place(np.zeros(len(low)), reference)
+    for _ in range(config.steps):
+        step = _step(at, jacobian, data, likelihood, rows, low, high)
+        trials = np.clip(at.numbers + np.outer(TRIALS, step), low, high)
+        found = min((place(t, p) for t, p in zip(trials, run(trials), strict=True)), key=lambda f: f.cost)
+        way = found.numbers - at.numbers
+        if np.isfinite(found.cost) and way @ way > 0:
+            missed = found.prediction - at.prediction - jacobian @ way
+            jacobian = jacobian + np.outer(missed, way / (way @ way))
+        if not found.cost < at.cost:
+            break
+        at = found
+    curvature = _curvature(at, jacobian, data, likelihood, rows)
+    deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
+    evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
+    return Refit(at.numbers[:count], at.numbers[count:] * wide, deviations[count:] * wide, at.prediction, float(evidence))
+
+
+def _one_sided(signature, amounts, deviations) -> float:
+    """Log of the share of the posterior that is on the side of a one-sided amount, over the half of the prior that is."""
+    from scipy.special import log_ndtr
+
+    if signature is None:
+        return 0.0
+    parts = zip(signature.candidate.effect.amounts, np.abs(amounts / deviations), strict=True)
+    return float(sum(np.log(2) + log_ndtr(far) for a, far in parts if a.one_sided))
+
+
+def _curvature(at, jacobian, data, likelihood, rows):
+    """Of the negative log posterior, in prior standard deviations: Gauss and Newton's, with a Student t's weight."""
+    white, ways = likelihood.whitened((data - at.prediction)[rows]), likelihood.whitened(jacobian[rows])
+    weight = (likelihood.degrees + len(white)) / (likelihood.degrees + white @ white)
+    return weight * ways.T @ ways + np.eye(ways.shape[1])
+
+
+def _step(at, jacobian, data, likelihood, rows, low, high):
+    """(n,) Gauss and Newton's, what presses against a bound staying there."""
+    white, ways = likelihood.whitened((data - at.prediction)[rows]), likelihood.whitened(jacobian[rows])
+    weight = (likelihood.degrees + len(white)) / (likelihood.degrees + white @ white)
+    downhill = weight * ways.T @ white - at.numbers
+    free = ~((at.numbers <= low) & (downhill < 0) | (at.numbers >= high) & (downhill > 0))
+    step = np.zeros(len(free))
+    curvature = weight * ways.T @ ways + np.eye(len(free))
+    step[free] = np.linalg.solve(curvature[np.ix_(free, free)], downhill[free])
+    return step
+
+
+def gained(data, sound, other, cells: Sequence) -> Gain:
+    """What ``other`` (B,) m removes of ``sound``'s (B,) m squared error in ``data`` (B,) m; ``cells`` (B,): what a jackknife leaves out."""
+    before, after = np.square(data - sound), np.square(data - other)
+    if not len(before) or not np.isfinite(after).all():
+        return Gain(np.nan, np.nan)
+    share = 1 - after.sum() / before.sum()
+    names = np.unique(cells)
+    parts = [1 - after[cells != c].sum() / before[cells != c].sum() for c in names] if len(names) > 1 else [share]
+    return Gain(float(share), float(np.sqrt((len(parts) - 1) * np.var(parts))))

@@ -1,0 +1,155 @@
+"""The score statistic of every effect at every place: how much better a little of it would explain what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..config import DiagnosisConfig
+from ..effects import Candidate, effects
+from .forward import Forward
+from .likelihood import Likelihood, log_gain
+
+__all__ = ["Score", "Signature", "score", "scores", "signatures"]
+
+CELLS_IN_ONE = ("body", "velocity", "setup", "")  # stages whose laws cost little where they are at 0, asked in one system
+LEAST, MOST = 0.2, 5.0  # times the probing motion: outside of it a signature is measured again
+ALIKE = 0.01  # m, between the middles of a body in frame 0 of two recordings that begin alike
+SMALLEST = 1e-3  # mm: what moves less at its largest amount is not in this recording
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """``columns`` (B, m) m: what each amount of a candidate does, as much as moves block means by 1 mm RMS; ``unit`` (m,) is that amount.
+
+    spread (m,)  prior standard deviations of amounts, in units
+    """
+
+    candidate: Candidate
+    columns: np.ndarray
+    unit: np.ndarray
+    spread: np.ndarray
+
+    @property
+    def name(self) -> str:
+        return self.candidate.effect.name
+
+
+@dataclass(frozen=True)
+class Score:
+    """z: standard normal deviate of the score statistic, of which one-sided amounts count on their side alone; ``log_evidence`` of the
+    linear effect over none; ``sizes`` (m,) its likeliest amounts in units; ``explains``: its share of the whitened misfit."""
+
+    name: str
+    z: float
+    log_evidence: float
+    sizes: tuple[float, ...]
+    explains: float
+
+
+def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Signature]:
+    """What each candidate that shows in the recordings does.
+
+    By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Effects
+    that have a place on the body are asked only where all recordings begin with the body in one place, since places are those of frame 0.
+    """
+    kind = forward.simulators[0].scene.body.kind
+    grounded = all(s.scene.ground is not None for s in forward.simulators)
+    places = forward.blocks[0].regions
+    alike = all(np.linalg.norm(b.regions.mean(0) - places.mean(0)) < ALIKE for b in forward.blocks)
+    asked = [e for e in effects(kind) if (grounded or not e.grounded) and (alike or not e.place)]
+    groups: dict[str, list] = {}
+    for effect in asked:
+        groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
+    found = []
+    for group in groups.values():
+        laws = {e.term: e.term() for e in group if e.term}
+        there = forward.with_terms(list(laws.values()))
+        plan = [(c, j) for e in group for c in e.candidates(places) for j in range(len(e.amounts))]
+        columns = _measured(there, reference, plan, config)
+        for candidate in dict.fromkeys(id(c) for c, _ in plan):
+            own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
+            moved = [k for k in own if np.isfinite(columns[k]).all() and _rms(columns[k]) * abs(_most(plan[k])) > SMALLEST]
+            if len(moved) == len(own):
+                found.append(_scaled(plan[own[0]][0], columns[own], config))
+    return found
+
+
+def _most(entry) -> float:
+    amount = entry[0].effect.amounts[entry[1]]
+    return amount.high if amount.high > 0 else amount.low
+
+
+def _row(forward, candidate, j, size) -> dict:
+    amounts = np.zeros(len(candidate.effect.amounts))
+    amounts[j] = size
+    return {**forward.values(np.zeros(len(forward.unknowns))), **candidate.values(amounts)}
+
+
+def _measured(forward, reference, plan, config):
+    """(P, B) m, derivatives by amounts."""
+    sizes = np.array([c.effect.amounts[j].first for c, j in plan])
+    runs = forward.rows([_row(forward, c, j, s) for (c, j), s in zip(plan, sizes, strict=True)])
+    moved = np.array([_rms(r - reference) for r in runs])
+    wrong = [k for k, m in enumerate(moved) if not LEAST * config.probe <= m <= MOST * config.probe]  # NaN is wrong, too
+    if wrong:
+        factors = config.probe / np.where(np.isfinite(moved), np.maximum(moved, 1e-3), 100 * config.probe)
+        for k in wrong:
+            amount = plan[k][0].effect.amounts[plan[k][1]]
+            sizes[k] = np.clip(sizes[k] * factors[k], amount.low, amount.high)
+        runs[wrong] = forward.rows([_row(forward, *plan[k], sizes[k]) for k in wrong])
+    return (runs - reference) / sizes[:, None]
+
+
+def _rms(values) -> float:
+    """mm, of (B,) m of which three make a place."""
+    return 1e3 * float(np.sqrt(3 * np.mean(np.square(values))))
+
+
+def _scaled(candidate, slopes, config) -> Signature:
+    unit = np.array([1 / _rms(s) for s in slopes])
+    return Signature(candidate, (slopes * unit[:, None]).T, unit, np.full(len(unit), config.motion))
+
+
+def score(likelihood: Likelihood, residual, signature: Signature) -> Score:
+    """Of one candidate; see ``scores``."""
+    return scores(likelihood, residual, [signature])[0]
+
+
+def scores(likelihood: Likelihood, residual, catalogue: Sequence[Signature]) -> list[Score]:
+    """Of each candidate.
+
+    The statistic compares the misfit that a candidate explains with what is left (Fisher's F), so that it does not depend on the scale of
+    the covariance; the evidence is that of a linear effect with normal priors. An amount that can only be positive has half of the prior.
+    """
+    if not catalogue:
+        return []
+    white, ways = likelihood.whitened(residual), likelihood.whitened(np.concatenate([s.columns for s in catalogue], 1))
+    parts = np.split(ways, np.cumsum([s.columns.shape[1] for s in catalogue])[:-1], axis=1)
+    return [_score(likelihood.degrees, white, own, one) for own, one in zip(parts, catalogue, strict=True)]
+
+
+def _score(degrees, white, ways, signature) -> Score:
+    from scipy.stats import f as fisher
+    from scipy.stats import norm
+
+    amounts, square = signature.candidate.effect.amounts, float(white @ white)
+    matrix, along = ways.T @ ways, ways.T @ white
+    sizes = np.linalg.lstsq(matrix, along, rcond=1e-12)[0]
+    halved = len(amounts) == 1 and amounts[0].one_sided
+    if halved and not amounts[0].low <= sizes[0] * signature.unit[0] <= amounts[0].high:
+        sizes = np.zeros(1) if sizes[0] * (amounts[0].low + amounts[0].high) < 0 else sizes
+    gain = float(2 * sizes @ along - sizes @ matrix @ sizes)
+    rest = max(1, len(white) - len(amounts))
+    z = 0.0
+    if gain > 0:
+        tail = fisher.logsf(gain / len(amounts) / max((square - gain) / rest, 1e-300), len(amounts), rest) - np.log(2) * halved
+        z = max(0.0, float(-norm.ppf(np.exp(tail)) if tail > -600 else np.sqrt(-2 * tail)))
+    evidence = log_gain(white, ways * signature.spread, degrees)
+    if halved:
+        deviation = signature.spread[0] / np.sqrt(1 + signature.spread[0] ** 2 * matrix[0, 0])
+        side = 1.0 if amounts[0].high > 0 else -1.0
+        evidence += float(np.log(2) + norm.logcdf(side * deviation * along[0]))  # posterior mean over deviation, of the linear effect
+    return Score(signature.name, z, float(evidence), tuple(sizes.tolist()), gain / square if square > 0 else 0.0)

@@ -1,0 +1,88 @@
+"""Whether a sound twin explains the recordings: misfit and the largest score, each against those of members left out.
+
+K members alone cannot resolve 5 % by their ranks. Logarithms of both statistics are nearly normal over members, so that one more sound
+recording's lies where a Student t with K - 1 degrees of freedom says, around their mean with their deviation times sqrt(1 + 1 / K): the
+prediction interval of a normal sample. That the best of the whole catalogue was taken is in the null, since members take their best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .covariance import Prior, Scatter
+from .scan import Score, Signature, scores
+
+__all__ = ["Significance", "conformal", "fitted_rows", "predictive", "significance"]
+
+
+@dataclass(frozen=True)
+class Significance:
+    """p of the recordings being a sound twin's, from ``p_misfit`` and ``p_scan``; the statistics of the recordings and of K members.
+
+    standardised  (2,) the recordings' statistics in deviations of the members': what is pooled over controls
+    """
+
+    p: float
+    p_misfit: float
+    p_scan: float
+    misfit: float
+    largest: float
+    misfits: tuple[float, ...]
+    largests: tuple[float, ...]
+    standardised: tuple[float, float]
+    scores: tuple[Score, ...]
+
+
+def predictive(value: float, sample) -> tuple[float, float]:
+    """(p that one more of ``sample`` (K,) > 0 is as large as ``value``, ``value`` in deviations of the prediction), on a log scale."""
+    from scipy.stats import t
+
+    logs = np.log(np.maximum(sample, 1e-12))
+    count = len(logs)
+    far = (np.log(max(value, 1e-12)) - logs.mean()) / max(float(logs.std(ddof=1)) * np.sqrt(1 + 1 / count), 1e-12)
+    return float(t.sf(far, count - 1)), float(far)
+
+
+def conformal(value: float, controls: Sequence[float]) -> float:
+    """p of ``value`` among standardised statistics of frozen sound ``controls``, with which it is exchangeable if it is sound.
+
+    (1 + how many are as large) / (1 + all): split-conformal (Vovk et al. 2005), right for any distribution, and at least 1 / (1 + n).
+    """
+    return (1 + sum(c >= value for c in controls)) / (1 + len(controls))
+
+
+def fitted_rows(signature: Signature, rows) -> Signature:
+    """Of some block means (B,) alone."""
+    return Signature(signature.candidate, signature.columns[rows], signature.unit, signature.spread)
+
+
+def significance(
+    scatter: Scatter, prior: Prior, residual, noisy, catalogue: Sequence[Signature], *, inflation: float = 1.0
+) -> Significance:
+    """The test of ``residual`` (B,) m, of the fitted block means alone.
+
+    noisy (K, B)  the members as they would have been seen; member k is weighed without itself
+    inflation     of the variance of sound twins' errors, of members as of the recordings' weights: what sound recordings of a kind of body
+                  showed beyond their members
+    """
+    rows = np.flatnonzero(scatter.layout.fitted)
+    scatter, residual, noisy = scatter.only(rows), residual[rows], noisy[:, rows]
+    asked = [fitted_rows(s, rows) for s in catalogue]
+    likelihood = scatter.likelihood(prior, inflation=inflation)
+    found = scores(likelihood, residual, asked)
+    left_out = [scatter.without(k).likelihood(prior) for k in range(len(noisy))]
+    misfits = [one.misfit(row) / len(rows) for one, row in zip(left_out, noisy, strict=True)]
+    largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
+    misfit, largest = likelihood.misfit(residual) / len(rows), _largest(found)
+    (p_misfit, far_misfit), (p_scan, far_scan) = predictive(misfit, misfits), predictive(largest, largests)
+    p = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
+    standardised = far_misfit, far_scan
+    return Significance(p, p_misfit, p_scan, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found))
+
+
+def _largest(found: Sequence[Score]) -> float:
+    """The largest deviate, at least a tenth: below nothing there is no logarithm, and such a member says no more than that."""
+    return max([0.1, *(s.z for s in found)])

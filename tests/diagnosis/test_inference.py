@@ -1,0 +1,308 @@
+"""The inference on linear bodies whose errors have a known covariance: what is true of it does not depend on any simulator."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, kstest, multivariate_t
+from twinbench.diagnosis.config import DiagnosisConfig
+from twinbench.diagnosis.effects import Amount, Candidate, Effect, effects
+from twinbench.diagnosis.inference.absorption import absorb
+from twinbench.diagnosis.inference.budget import budget, detectable
+from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
+from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
+from twinbench.diagnosis.inference.refit import gained, refitted
+from twinbench.diagnosis.inference.scan import Signature, score
+from twinbench.diagnosis.inference.significance import conformal, predictive, significance
+
+REGIONS, TIMES, MEMBERS = 4, 5, 10
+SIZE = 3 * REGIONS * TIMES
+NOISE, ERROR = 3e-4, 2e-3  # m
+PRIOR = Prior(8.0, 0.3, 0.3)
+NOWHERE = (np.full(3, -10.0), np.full(3, 10.0))  # bounds that nothing meets
+
+
+def layout(held_out=0):
+    time, region, axis = (a.ravel() for a in np.meshgrid(np.arange(TIMES), np.arange(REGIONS), np.arange(3), indexing="ij"))
+    place = np.stack([0.05 * region, 0 * region, 0 * region], 1)
+    return Layout(np.zeros(SIZE, int), place, 0.25 * time, axis, time < TIMES - held_out)
+
+
+def effect(name="wind", low=-100.0):
+    return Effect(name, "environment", "the air moves", None, ("solid",), (Amount("push", 1.0, low, 100.0, "mm"),))
+
+
+def signature(column, name="wind", low=-100.0):
+    """Scaled to 1 mm RMS of places, as those of twins are."""
+    column = column / (1e3 * np.sqrt(3 * np.mean(column**2)))
+    return Signature(Candidate(effect(name, low), {}), column[:, None], np.ones(1), np.full(1, 20.0))
+
+
+class World:
+    """Sound twins J p + e, e normal with a smooth covariance; block means with white noise; signatures drawn from the same smooth field."""
+
+    def __init__(self, seed, candidates=8, growth=0.0):
+        self.random = np.random.default_rng(seed)
+        self.layout = layout()
+        amplitude = ERROR * (1 + growth * self.layout.time)
+        self.factor = np.linalg.cholesky(amplitude[:, None] * self.layout.kernel(0.4, 0.4) * amplitude + 1e-12 * np.eye(SIZE))
+        self.slopes = 0.01 * np.linalg.cholesky(self.layout.kernel(2.0, 1.0) + 1e-9 * np.eye(SIZE)) @ self.random.normal(size=(SIZE, 3))
+        self.reference = self.random.normal(size=SIZE)
+        self.catalogue = [signature(self.factor @ self.random.normal(size=SIZE), f"effect {k}") for k in range(candidates)]
+
+    def sound(self, count):
+        shifts = 0.5 * self.random.normal(size=(count, 3))
+        return self.reference + shifts @ self.slopes.T + self.random.normal(size=(count, SIZE)) @ self.factor.T
+
+    def noise(self, *shape):
+        return NOISE * self.random.normal(size=(*shape, SIZE))
+
+    def run(self, shifts):
+        return self.reference + shifts @ self.slopes.T
+
+    def evidence(self, measured):
+        runs = np.concatenate([self.sound(MEMBERS), measured[None]])
+        left, _ = absorb(runs, self.reference, self.slopes, np.full(SIZE, NOISE), self.run, NOWHERE, rounds=2)
+        scatter = Scatter(left[:-1], NOISE**2 * np.eye(SIZE), self.slopes, self.layout)
+        return scatter, left[-1], left[:-1] + self.noise(MEMBERS)
+
+    def asked(self, measured):
+        scatter, residual, noisy = self.evidence(measured)
+        return significance(scatter, PRIOR, residual, noisy, self.catalogue)
+
+
+@pytest.fixture(scope="module")
+def controls():
+    """Tests of 120 sound recordings, each with members of its own."""
+    found = []
+    for seed in range(120):
+        world = World(seed, growth=1.0)
+        found.append(world.asked(world.sound(1)[0] + world.noise()))
+    return found
+
+
+def test_p_values_of_sound_recordings_are_uniform(controls):
+    # Kolmogorov and Smirnov's distance of 120 from the uniform distribution; both are p-values by themselves
+    assert kstest([t.p_misfit for t in controls], "uniform").pvalue > 0.01
+    assert kstest([t.p_scan for t in controls], "uniform").pvalue > 0.01
+
+
+def test_the_smaller_of_two_p_values_does_not_alarm_too_often(controls):
+    # of 120 at a level of 10 %, more than binom.isf(0.001) would be no chance
+    assert sum(t.p < 0.1 for t in controls) <= binom.isf(1e-3, 120, 0.1)
+
+
+@pytest.mark.parametrize("candidates", [3, 40])
+def test_the_best_of_many_candidates_keeps_its_level(candidates):
+    from scipy.stats import norm
+
+    tests = []
+    for seed in range(40):
+        world = World(1000 + seed, candidates)
+        tests.append(world.asked(world.sound(1)[0] + world.noise()))
+    assert sum(t.p_scan < 0.1 for t in tests) <= binom.isf(1e-3, 40, 0.1)
+    if candidates == 40:  # what is forgotten otherwise: the best of forty, taken for the only one that was asked
+        assert sum(norm.sf(t.largest) < 0.1 for t in tests) > binom.isf(1e-3, 40, 0.1)
+
+
+def test_without_whitening_sound_recordings_alarm():
+    world = World(5)
+    alarms = [chi2.sf(np.sum(((world.evidence(world.sound(1)[0] + world.noise())[1]) / NOISE) ** 2), SIZE) < 1e-3 for _ in range(10)]
+    assert all(alarms)
+
+
+def test_an_effect_is_found_and_its_size_told():
+    world = World(3)
+    column = world.catalogue[5].columns[:, 0]
+    found = world.asked(world.sound(1)[0] + 12 * column + world.noise())
+    assert found.p < 1e-3
+    best = max(found.scores, key=lambda s: s.log_evidence)
+    assert best.name == "effect 5"
+    assert best.sizes[0] == pytest.approx(12, rel=0.25)
+
+
+def test_absorption_leaves_nothing_where_members_differ_by_parameters_alone():
+    # f(p) = f0 + J p + p1^2 q: one linear step leaves the square, a second from where it led leaves its square
+    world = World(1)
+    bend = 3e-3 * world.random.normal(size=SIZE)
+
+    def run(shifts):
+        return world.run(shifts) + shifts[:, :1] ** 2 * bend
+
+    shifts = 0.3 * world.random.normal(size=(MEMBERS, 3))
+    sd = np.full(SIZE, NOISE)
+    once, _ = absorb(run(shifts), world.reference, world.slopes, sd, run, NOWHERE, rounds=1)
+    often, found = absorb(run(shifts), world.reference, world.slopes, sd, run, NOWHERE, rounds=5)
+    assert np.abs(often).max() < 1e-5 < np.abs(once).max()  # of some 10 mm that they moved
+    assert np.abs(found - shifts).max() < 1e-2
+
+
+def test_what_is_not_fitted_is_not_absorbed_but_predicted():
+    world = World(2)
+    shifts = 0.3 * world.random.normal(size=(MEMBERS, 3))
+    runs = world.run(shifts)
+    held = world.layout.time > 1.0
+    runs[:, held] += 0.05  # of which the fitted frames know nothing
+    sd = np.where(held, np.inf, NOISE)
+    left, _ = absorb(runs, world.reference, world.slopes, sd, world.run, NOWHERE, rounds=2)
+    assert left[:, held] == pytest.approx(0.05, abs=2e-4)
+    assert np.abs(left[:, ~held]).max() < 1e-4
+
+
+def test_a_recording_against_itself_is_nothing():
+    world = World(4)
+    scatter, _, noisy = world.evidence(world.reference)
+    found = significance(scatter, PRIOR, np.zeros(SIZE), noisy, world.catalogue)
+    assert found.misfit == 0
+    assert found.p > 0.9
+    assert all(s.log_evidence <= 0 and s.sizes == (0.0,) for s in found.scores)
+
+
+def test_the_covariance_tells_members_that_it_has_not_seen():
+    # mean of x' C^-1 x / B of members left out: 1 where C is right; d / (d - 2) of a Student t is within that
+    world = World(6, growth=1.0)
+    scatter, _, _ = world.evidence(world.reference)
+    likelihood = scatter.likelihood(PRIOR)
+    fresh = World(6, growth=1.0).factor @ np.random.default_rng(0).normal(size=(SIZE, 200)) + world.noise(200).T
+    ratio = np.mean([likelihood.misfit(row) for row in fresh.T]) / SIZE
+    assert 0.6 < ratio < 1.6
+
+
+def test_the_prior_that_is_chosen_fades_as_errors_do():
+    # errors that are smooth in time and space are likelier under a smooth prior than under one without neighbours, and rough ones not
+    world = World(8)
+    scatter, _, noisy = world.evidence(world.reference)
+    smooth = chosen(scatter, DiagnosisConfig(), noisy)
+    rough = ERROR * world.random.normal(size=(MEMBERS, SIZE))
+    plain = chosen(replace(scatter, left=rough), DiagnosisConfig(), rough)
+    assert smooth.memory > 0 and smooth.reach > 0
+    assert (plain.memory, plain.reach) == (0.0, 0.0)
+
+
+def test_the_density_is_a_student_t():
+    random = np.random.default_rng(0)
+    root = random.normal(size=(5, 5))
+    x = random.normal(size=5)
+    own = Likelihood.of(root @ root.T, 4.0)
+    assert own.log_density(x) == pytest.approx(multivariate_t.logpdf(x, shape=root @ root.T, df=4.0))
+
+
+def test_the_evidence_of_a_linear_effect_is_that_of_a_wider_covariance():
+    # x ~ C + S V S' over x ~ C
+    random = np.random.default_rng(1)
+    root, s, spread = random.normal(size=(6, 6)), random.normal(size=(6, 2)), np.array([2.0, 0.5])
+    x, scale = random.normal(size=6), root @ root.T
+    wider = Likelihood.of(scale + (s * spread**2) @ s.T, 7.0)
+    own = Likelihood.of(scale, 7.0)
+    assert log_gain(own.whitened(x), own.whitened(s * spread), 7.0) == pytest.approx(wider.log_density(x) - own.log_density(x))
+
+
+class Bent:
+    """Twins whose one effect is not linear in its amount: 20 mm of it make a fifth more than twenty of 1 mm."""
+
+    def __init__(self, world, column, bend=0.01):
+        self.bend = bend
+        self.world, self.column, self.unknowns = world, column, [SimpleNamespace(name=f"p{k}") for k in range(3)]
+        self.bounds = NOWHERE
+
+    def values(self, shift):
+        return {u.name: s for u, s in zip(self.unknowns, shift, strict=True)}
+
+    def rows(self, rows):
+        shifts = np.array([[r[u.name] for u in self.unknowns] for r in rows])
+        push = np.array([r.get("push", 0.0) for r in rows])[:, None]
+        return self.world.run(shifts) + push * (1 + self.bend * push) * self.column
+
+
+def test_a_refit_agrees_with_the_score_where_effects_are_small_and_corrects_it_where_not():
+    world = World(9)
+    one = world.catalogue[0]
+    twins = Bent(world, one.columns[:, 0])
+    scatter, _, _ = world.evidence(world.reference)
+    rows = np.arange(SIZE)
+    fitting, marginal = scatter.likelihood(PRIOR, parameters=False), scatter.likelihood(PRIOR)
+    for push, off in ((0.5, 0.01), (15.0, 0.02)):
+        data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=push)])[0]
+        config = DiagnosisConfig(steps=6)
+        found = refitted(twins, data, world.reference, world.slopes, fitting, rows, one, config)
+        linear = score(marginal, data - world.reference, one)
+        assert found.amounts[0] == pytest.approx(push, rel=off, abs=3 * off * found.sd[0])
+        if push < 1:
+            assert linear.sizes[0] == pytest.approx(found.amounts[0], rel=0.05)
+
+
+def test_the_evidence_of_a_refit_is_that_of_the_linear_effect_where_all_is_normal():
+    # Laplace's approximation is exact for a normal distribution (a Student t of many degrees) and an effect that is linear
+    world = World(10)
+    one = world.catalogue[0]
+    twins = Bent(world, one.columns[:, 0], bend=0.0)
+    scatter, _, _ = world.evidence(world.reference)
+    fitting, marginal = (replace(scatter.likelihood(PRIOR, parameters=p), degrees=1e8) for p in (False, True))
+    data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=2.0)])[0]
+    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE))
+    found, sound = (refitted(*given, what, DiagnosisConfig()) for what in (one, None))
+    linear = score(marginal, data - world.reference, one)
+    assert found.log_evidence - sound.log_evidence == pytest.approx(linear.log_evidence, abs=1e-3)
+
+
+def test_gains_are_paired():
+    data, sound = np.zeros(8), np.repeat([1.0, 3.0], 4)
+    found = gained(data, sound, sound / 2, np.arange(8) // 2)
+    assert (found.share, found.error) == (pytest.approx(0.75), pytest.approx(0.0, abs=1e-12))
+
+
+def test_what_is_detectable_is_detected():
+    world = World(11)
+    scatter, _, noisy = world.evidence(world.reference)
+    test = significance(scatter, PRIOR, np.zeros(SIZE), noisy, world.catalogue)
+    sizes = detectable(scatter, PRIOR, test, world.catalogue, 0.03)
+    hits = []
+    for draw in range(40):
+        k = draw % len(world.catalogue)
+        measured = world.sound(1)[0] + sizes[k].size * world.catalogue[k].columns[:, 0] + world.noise()
+        left, _ = absorb(measured[None], world.reference, world.slopes, np.full(SIZE, NOISE), world.run, NOWHERE, rounds=2)
+        hits.append(significance(scatter, PRIOR, left[0], noisy, world.catalogue).p < 0.03)
+    assert np.mean(hits) > 0.7  # 0.95 were the members' covariance exact; 0.7 is what ten members come to
+
+
+def test_the_budget_adds_up():
+    world = World(12)
+    scatter, residual, _ = world.evidence(world.sound(1)[0])
+    parts = budget(scatter, PRIOR, residual, np.zeros((SIZE, SIZE)), np.zeros(SIZE))
+    assert len(parts) == TIMES
+    for part in parts:
+        squares = sum(getattr(part, name) ** 2 for name in ("noise", "representation", "parameters", "named", "unexplained"))
+        assert squares >= part.error**2 - 1e-9
+    # mean squares of parts of equal size are those of the whole
+    assert np.mean([p.error**2 for p in parts]) == pytest.approx(3e6 * np.mean(residual**2))
+
+
+def test_a_prediction_interval_of_a_normal_sample_holds_what_it_says():
+    random = np.random.default_rng(3)
+    p = [predictive(float(np.exp(random.normal())), np.exp(random.normal(size=6)))[0] for _ in range(300)]
+    assert kstest(p, "uniform").pvalue > 0.01
+
+
+def test_a_conformal_p_is_never_too_small_whatever_the_distribution():
+    # of n + 1 exchangeable values one is among the k largest with probability k / (n + 1)
+    random = np.random.default_rng(5)
+    p = [conformal(draw[0], draw[1:]) for draw in random.standard_cauchy((2000, 20))]
+    for level in (0.05, 0.1, 0.5):
+        assert np.mean(np.array(p) <= level) == pytest.approx(level, abs=4 * np.sqrt(level / 2000))
+    assert conformal(9.0, [1.0, 2.0, 3.0]) == 0.25
+
+
+def test_every_effect_says_what_it_is():
+    for one in effects():
+        assert one.amounts and one.says and one.bodies
+        zero = one.candidates([np.zeros(3)])[0].values(np.zeros(len(one.amounts)))
+        assert all(np.isfinite(v) for v in zero.values())
+        if one.term:  # what a candidate sets are parameters of its term, within their ranges
+            one.term(zero)
+    assert len({(e.name, e.term) for e in effects()}) == len(effects())
+
+
+def test_an_effect_of_no_kind_is_refused():
+    with pytest.raises(ValueError, match="kind of effect wind must be one of"):
+        replace(effect(), kind="weather")

@@ -1,0 +1,131 @@
+"""The inference on a small block: block means and their noise, members that are other bodies, an effect that is put in and found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from blocks import FRAMES, lifted
+from twinbench.datasets.scenario import Scenario, Split
+from twinbench.diagnosis.config import DiagnosisConfig
+from twinbench.diagnosis.effects import effects
+from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
+from twinbench.diagnosis.inference.forward import Forward
+from twinbench.diagnosis.inference.members import drawn, ran
+from twinbench.diagnosis.inference.scan import signatures
+from twinbench.methods.continuum.body import body_of
+from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.simulate import Simulator
+from twinbench.methods.continuum.solids import Solid
+from twinbench.methods.continuum.twin import ContinuumTwin
+from twinbench.methods.continuum.unknowns import Unknown
+
+TRUE = dict(youngs_modulus=8e3, damping_time=0.01, poisson=0.3, drag_damping=0.3)
+NOISE = 1e-3
+CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=4, cells=1.0)
+
+
+def scenario(points, **changes):
+    observed = lifted(points)
+    known = {name: getattr(observed, name) for name in ("name", "controllers", "surface", "interior", "fps", "gravity", "ground", "grips")}
+    seen = np.ones(points.shape[:2], bool)
+    return Scenario(points=points, visible=seen, motion_valid=seen, split=Split(FRAMES - 5, FRAMES), **(known | changes))
+
+
+@pytest.fixture(scope="module")
+def twin():
+    """A sound twin of the block at what made its recording, as a fit would have left it."""
+    recording = lifted()
+    scene = Scene.of(recording, Solid.told(recording, body_of(recording, kind="solid", pitch=0.02)))
+    unknowns = [u for u in Solid.unknowns([scene.body]) if u.name in ("youngs_modulus", "damping_time")]
+    posterior = dict(unknowns=[vars(u) for u in unknowns], scaled=[u.encode(TRUE[u.name]) for u in unknowns])
+    return ContinuumTwin(scene, TRUE, posterior=posterior | dict(covariance=(0.01 * np.eye(2)).tolist()))
+
+
+@pytest.fixture(scope="module")
+def recording(twin):
+    path = Simulator(twin.scene).run([TRUE], FRAMES)[0][:, : twin.scene.counts[0]]
+    return scenario(path + np.random.default_rng(0).normal(0, NOISE, path.shape))
+
+
+def test_block_means_are_means_of_what_was_seen(recording):
+    # all tracks 7 mm to the side: so are all means; a track that was not seen does not count
+    hidden = recording.visible.copy()
+    hidden[:, 0] = False
+    points = recording.points.copy()
+    points[:, 0] += 100.0
+    blocks = Blocks.of(replace(recording, points=points, visible=hidden), CONFIG)
+    assert blocks.means((points + [0.007, 0, 0])[None])[0] - blocks.data == pytest.approx(
+        np.tile([0.007, 0, 0], len(blocks.cells)), abs=1e-9
+    )
+    assert np.abs(blocks.data).max() < 10.0
+    assert blocks.layout(0).fitted.reshape(-1, 3).all(1).sum() == len(blocks.cells) * 3 // 4  # three bins of four
+
+
+def test_noise_of_means_is_that_of_tracks_over_their_number(twin, recording):
+    # white noise s: var of a mean of n values is s^2 / n
+    blocks = Blocks.of(recording, CONFIG)
+    path = Simulator(twin.scene).run([TRUE], FRAMES)[0]
+    noise = np.diag(blocks.noise(blocks.strays(path)))
+    number = np.repeat(np.diff(blocks.weights.indptr), 3)
+    assert np.median(noise * number / NOISE**2) == pytest.approx(1.0, rel=0.35)
+
+
+def test_draws_of_noise_have_its_covariance(twin, recording):
+    blocks = Blocks.of(recording, CONFIG)
+    strays = blocks.strays(Simulator(twin.scene).run([TRUE], FRAMES)[0])
+    draws = np.random.default_rng(0).choice([-1.0, 1.0], (4000, len(strays))) @ strays
+    assert np.mean(draws**2, 0) == pytest.approx(np.diag(strays.T @ strays), rel=0.15)
+
+
+def test_clouds_are_refused(recording):
+    with pytest.raises(NoTracks, match="do not correspond"):
+        Blocks.of(replace(recording, correspond=False, motion_valid=np.zeros_like(recording.visible)), CONFIG)
+
+
+def test_a_twin_without_a_posterior_is_refused(twin, recording):
+    with pytest.raises(ValueError, match="posterior"):
+        Forward.of(replace(twin, posterior={}), [recording], CONFIG)
+
+
+@pytest.mark.slow
+def test_members_are_other_bodies_that_run(twin, recording):
+    forward = Forward.of(twin, [recording], CONFIG)
+    reference = forward.at(np.zeros(2))[0]
+    runs = np.array([ran(m, forward, CONFIG) for m in drawn(forward, CONFIG)])
+    assert np.isfinite(runs).all()
+    apart = 1e3 * np.sqrt(3 * np.mean((runs - reference) ** 2, 1))
+    assert (apart > 0.05).all() and (apart < 20).all()  # mm: of a block of a few cm that is lifted
+    assert len(np.unique(np.round(apart, 6))) == len(apart)
+    assert forward.cost.runs == 1 + len(runs)
+
+
+@pytest.mark.slow
+def test_signatures_are_measured_in_mm_and_absent_effects_are_zero(twin, recording):
+    forward = Forward.of(twin, [recording], CONFIG)
+    reference = forward.at(np.zeros(2))[0]
+    found = signatures(forward, reference, CONFIG)
+    for one in found:
+        assert 1e3 * np.sqrt(3 * np.mean(one.columns**2, 0)) == pytest.approx(np.ones(one.columns.shape[1]), rel=1e-6)
+    names = {one.name for one in found}
+    assert {"wind", "added_mass", "grip_compliance", "viscoelastic"} <= names <= {e.name for e in effects("solid")}
+    drag = next(one for one in found if one.name == "quadratic_drag")  # a twin that has the law at nothing is the twin
+    there = forward.with_terms([drag.candidate.effect.term()])
+    assert there.rows([{**forward.values(np.zeros(2)), **drag.candidate.values([0.0])}])[0] == pytest.approx(reference, abs=1e-7)
+
+
+def test_unknowns_are_shifted_in_prior_deviations(twin, recording):
+    forward = Forward.of(twin, [recording], CONFIG)
+    modulus: Unknown = forward.unknowns[0]
+    assert forward.values([1.0, 0.0])["youngs_modulus"] == pytest.approx(TRUE["youngs_modulus"] * np.exp(modulus.sd))
+
+
+def test_recordings_are_predicted_together(twin, recording):
+    # the same recording twice: a twin says the same of both but for frame 0, by whose noise (1 mm) the body of the second is laid; and what
+    # is one recording's own moves that one alone
+    forward = Forward.of(twin, [recording, recording], CONFIG)
+    both = forward.rows([TRUE, TRUE | {"rec1_grip0_shift_x": 0.004}])
+    first, second = np.split(both, 2, axis=1)
+    np.testing.assert_allclose(first[0], second[0], atol=3 * NOISE)
+    np.testing.assert_allclose(first[0], first[1], atol=1e-9)
+    assert np.abs(second[1] - second[0]).max() > 1e-4
+    assert len(forward.data) == 2 * len(Forward.of(twin, [recording], CONFIG).data)
