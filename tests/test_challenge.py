@@ -31,6 +31,8 @@ from twinbench.datasets.concealed.make import make
 from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, plan
 from twinbench.datasets.concealed.seal import canonical, digest, folder_digest, read_json, salt_of, sealed, seed_of, write_json
 
+COARSE = {"solids": "tetrahedra", "thin": "coarse"}  # as the sealed sets have them
+
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -218,18 +220,18 @@ def test_a_size_that_cannot_be_drawn_becomes_any_clear_size(tmp_path, monkeypatc
         return drawn(*given, clear=clear, **named)
 
     monkeypatch.setattr(making, "build", coarse)
-    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), "tetrahedra") == "case_000"
+    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), COARSE) == "case_000"
     assert bands == [tuple(entry.clear)] * 2 + [CLEAR]
     assert json.loads((tmp_path / "sealed" / "case_000.json").read_text())["label"]["level"] is None
 
 
 def test_what_cannot_be_drawn_in_one_body_is_drawn_in_another(tmp_path, monkeypatch):
     entry = next(e for s in range(99) for e in plan("full", str(s), engines=("mujoco",)) if e.name == "tearing" and e.body == "cloth")
-    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), "tetrahedra") == "case_000"
+    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), COARSE) == "case_000"
     kept = json.loads((tmp_path / "sealed" / "case_000.json").read_text())
     assert kept["label"]["object"] != "cloth" and kept["label"]["effect"] == "tearing"
     monkeypatch.setattr(making, "build", lambda *a, **k: (_ for _ in ()).throw(RuntimeError("never")))
-    assert "could not be drawn" in making._one(Folder(tmp_path), "case_001", 1, entry, "x", ("mujoco",), "tetrahedra")
+    assert "could not be drawn" in making._one(Folder(tmp_path), "case_001", 1, entry, "x", ("mujoco",), COARSE)
     assert json.loads((tmp_path / "sealed" / "case_001.json").read_text()) == {"undrawn": ["never"] * 2 * making.TRIES}
     assert not (tmp_path / "cases" / "case_001").exists()
 

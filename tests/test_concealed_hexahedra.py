@@ -208,8 +208,8 @@ def test_a_label_says_what_was_measured(monkeypatch):
     assert convergence.refinement("plush", "mujoco", "boxes", ["lift", "lift"]) == {"refinement_mm": 0.5, "unconverged": False}
     assert convergence.refinement("plush", "mujoco", "boxes", ["lift", "drag"])["unconverged"] is True
     assert convergence.refinement("plush", "mujoco", "boxes", ["lift", "fold"])["refinement_mm"] == 7.0  # a motion that was not measured
-    assert convergence.refinement("rope", "finite", "boxes", ["lift"])["unconverged"] is False
-    assert convergence.refinement("cloth", "finite", "boxes", ["lift"]) == {"refinement_mm": None, "unconverged": None}
+    assert convergence.refinement("rope", "finite", "", ["lift"])["unconverged"] is False
+    assert convergence.refinement("cloth", "finite", "resolved", ["lift"]) == {"refinement_mm": None, "unconverged": None}
     assert "| plush, boxes | mujoco | drag | 1 | 88% | 0.10 | 7.00 |" in convergence.markdown(found)
 
 

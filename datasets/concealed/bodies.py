@@ -10,7 +10,7 @@ import numpy as np
 from ..synthetic.objects import Plush
 from ..synthetic.simulate import GRAVITY
 
-__all__ = ["BODIES", "Body", "draw"]
+__all__ = ["BODIES", "SOLIDS", "THIN", "Body", "draw", "meshing"]
 
 FOAM = (4000.0, 60000.0)  # Young's modulus of stuffing [Pa]
 
@@ -39,6 +39,9 @@ class Body:
     yields     strain at which stretch and bend become plastic, 0 for never
     cells      (C, 27) vertices of quadratic hexahedra that fill the same room as the elements, for engines that have them; or None
     blocks     (B, n) vertices of the blocks that a hand takes hold of as a whole, the middle one first; None: it holds single vertices
+    resolved   whether the mesh is finer than what it bends in: the body then bends from the edge of what a hand holds on, not from half an
+               element inside, and engines solve its steps closely
+    axial      stiffness of a rope against stretch, E A [N]; 0: what each engine takes for a cord that hardly stretches
     """
 
     kind: str
@@ -62,6 +65,8 @@ class Body:
     yields: tuple[float, float] = (0.0, 0.0)
     cells: np.ndarray | None = None
     blocks: np.ndarray | None = None
+    resolved: bool = False
+    axial: float = 0.0
     about: dict = field(default_factory=dict)
 
     @property
@@ -181,22 +186,39 @@ def _with(body, total, rng, *, bending=1.0, damping=None, **about):
 # of what stuffed bodies are made: linear tetrahedra in one or two layers, which lock, as the first sealed sets have them;
 # quadratic hexahedra, which do not; the same in a body with straight edges
 SOLIDS = ("tetrahedra", "hexahedra", "boxes")
+# how ropes and cloths are meshed: coarsely and held by single vertices, as the first sealed sets have them; or finely, held by the same
+# material on every mesh
+THIN = ("coarse", "resolved")
 BODIES = {"cloth": cloth, "rope": rope, "plush": plush}
 
 
-def draw(kind: str, rng: np.random.Generator, *, fine: bool = False, refine: int = 1, solids: str = "tetrahedra") -> Body:
+def meshing(kind: str, solids: str = "tetrahedra", thin: str = "coarse") -> str:
+    """What rows and labels call the mesh of a body of ``kind``: its ``solids``, of ropes and cloths ``thin``, "" for coarse ones."""
+    return solids if kind == "plush" else thin if thin != "coarse" else ""
+
+
+def draw(
+    kind: str, rng: np.random.Generator, *, fine: bool = False, refine: int = 1, solids: str = "tetrahedra", thin: str = "coarse"
+) -> Body:
     """A body of ``BODIES``; ``fine`` takes a finer mesh, ``refine`` divides its edges by a whole number and changes nothing else.
 
-    ``solids`` of ``SOLIDS`` says what stuffed bodies are made of. Raises ValueError for an unknown kind or other solids.
+    ``solids`` of ``SOLIDS`` says what stuffed bodies are made of, ``thin`` of ``THIN`` how ropes and cloths are meshed.
+    Raises ValueError for what is none of these.
     """
     if kind not in BODIES:
         raise ValueError(f"unknown body {kind!r}; known: {', '.join(BODIES)}")
     if solids not in SOLIDS:
         raise ValueError(f"solids must be one of {', '.join(SOLIDS)}, got {solids!r}")
+    if thin not in THIN:
+        raise ValueError(f"thin must be one of {', '.join(THIN)}, got {thin!r}")
     if refine < 1:
         raise ValueError(f"refine must be a whole number >= 1, got {refine}")
     if kind == "plush" and solids != "tetrahedra":
         from .stuffed import stuffed
 
         return stuffed(rng, fine=fine, refine=refine, box=solids == "boxes")
+    if kind != "plush" and thin == "resolved":
+        from .thin import RESOLVED
+
+        return RESOLVED[kind](rng, fine=fine, refine=refine)
     return BODIES[kind](rng, fine=fine, refine=refine)

@@ -55,14 +55,16 @@ def build(
     like: str = "",
     engine: str = "mujoco",
     solids: str = "tetrahedra",
+    thin: str = "coarse",
     interactions: tuple[str, ...] = (),
 ) -> Case:
     """One case. ``kind`` is effect, control, outside or pair, ``name`` what of it (a pair ``one+other``), ``body`` cloth, rope, plush.
 
     An effect's size is searched until it moves the points of the fit recording by ``clear`` [m RMS] and by more than chaos does; of a pair
     each by itself. A control is filmed in interactions that could show the effect ``like``, so that these say nothing; in any unless given.
-    ``engine`` of ``ENGINES`` simulates it; ``solids`` of ``bodies.SOLIDS`` says what stuffed bodies are made of. ``interactions`` names
-    those of the fit and of the transfer recording, where they are not to be drawn.
+    ``engine`` of ``ENGINES`` simulates it; ``solids`` of ``bodies.SOLIDS`` says what stuffed bodies are made of, ``thin`` of
+    ``bodies.THIN`` how ropes and cloths are meshed. ``interactions`` names those of the fit and of the transfer recording, where they are
+    not to be drawn.
     Raises ValueError for unknown names, RuntimeError where no draw gives a stable and visible effect.
     """
     known = {"effect": EFFECTS, "outside": OUTSIDE, "control": CONTROLS, "pair": EFFECTS}
@@ -79,7 +81,7 @@ def build(
     for attempt in range(DRAWS):
         rng = np.random.default_rng([seed, attempt])
         try:
-            return _attempt(kind, names, body, rng, seed, attempt, clear, like, simulated, solids, interactions)
+            return _attempt(kind, names, body, rng, seed, attempt, clear, like, simulated, {"solids": solids, "thin": thin}, interactions)
         except (Unstable, Dull) as reason:
             reasons.append(str(reason))
     raise RuntimeError(f"no {name} of a {body} in {DRAWS} draws: {'; '.join(reasons)}")
@@ -89,9 +91,9 @@ class Dull(RuntimeError):
     """An effect cannot be seen."""
 
 
-def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, solids, interactions):
+def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, how, interactions):
     planned, name = [(EFFECTS | OUTSIDE)[n] for n in names if kind != "control"], names[0]
-    body = bodies.draw(body_kind, rng, fine=name == "finer_mesh", solids=solids)
+    body = bodies.draw(body_kind, rng, fine=name == "finer_mesh", **how)
     if name == "uneven_stiffness":
         body = _uneven(body, rng)
     if name == "other_damping":
@@ -135,8 +137,8 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, so
             {"effect": n, "parameters": p[0].parameters, **p[2], "place": at, "onset": [_onset(p[0], m) for m in p[1]]}
             for n, p, at in zip(names, parts, there, strict=True)
         ]
-    if solids != "tetrahedra":
-        label |= {"solids": solids, "motion": [motions.parts(script) for script in scripts]}
+    if how != {"solids": "tetrahedra", "thin": "coarse"}:  # labels of sets that are sealed already stay as they were published
+        label |= how | {"motion": [motions.parts(script) for script in scripts]}
     return Case(*recordings, label, {f"{part}_{name}": v for part, (_, true) in filmed.items() for name, v in true.items()})
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from . import bodies, motions
-from .bodies import SOLIDS
+from .bodies import SOLIDS, THIN, meshing
 from .case import nudged
 from .convergence import NOISE, Row, markdown
 from .engine import Unstable
@@ -26,30 +26,30 @@ from .engines import ENGINES, able, engine, require
 __all__ = ["compare", "main", "refined", "shared_vertices"]
 
 
-def refined(kind: str, by: str, motion: str, seed: int, *, solids: str = "tetrahedra", refine: int = 2, frames: int = 0) -> Row:
+def refined(kind: str, by: str, motion: str, seed: int, *, refine: int = 2, frames: int = 0, **how) -> Row:
     """The row of a body drawn from ``seed``: its own mesh against one ``refine`` times as fine, both simulated by the engine ``by``, for
-    ``frames`` frames if that is not 0.
+    ``frames`` frames if that is not 0; ``how`` (solids, thin) as ``bodies.draw`` takes it.
     """
-    base, script = _drawn(kind, motion, seed, solids, frames)
+    base, script = _drawn(kind, motion, seed, how, frames)
     begun = time.process_time()
     coarse = engine(by).simulate(base, script).vertices
     seconds = time.process_time() - begun
-    fine_body = bodies.draw(kind, np.random.default_rng([seed, 0]), refine=refine, solids=solids)
+    fine_body = bodies.draw(kind, np.random.default_rng([seed, 0]), refine=refine, **how)
     fine = engine(by).simulate(fine_body, script).vertices[:, shared_vertices(base, fine_body)]
-    return _row(kind, (by,), motion, seed, solids, coarse, fine, _predictable(base, script, coarse, by), seconds)
+    return _row(kind, (by,), motion, seed, how, coarse, fine, _predictable(base, script, coarse, by), seconds)
 
 
-def compare(kind: str, one: str, other: str, motion: str, seed: int, *, solids: str = "tetrahedra", frames: int = 0) -> Row:
+def compare(kind: str, one: str, other: str, motion: str, seed: int, *, frames: int = 0, **how) -> Row:
     """The row of two engines that simulate the same body on the same mesh."""
-    base, script = _drawn(kind, motion, seed, solids, frames)
+    base, script = _drawn(kind, motion, seed, how, frames)
     begun = time.process_time()
     first, second = (engine(by).simulate(base, script).vertices for by in (one, other))
     seconds = time.process_time() - begun
-    return _row(kind, (one, other), motion, seed, solids, first, second, _predictable(base, script, first, one), seconds)
+    return _row(kind, (one, other), motion, seed, how, first, second, _predictable(base, script, first, one), seconds)
 
 
-def _drawn(kind, motion, seed, solids, frames):
-    body = bodies.draw(kind, np.random.default_rng([seed, 0]), solids=solids)
+def _drawn(kind, motion, seed, how, frames):
+    body = bodies.draw(kind, np.random.default_rng([seed, 0]), **how)
     script = motions.draw(motion, body, np.random.default_rng([seed, 1]))
     return body, replace(script, frames=min(frames or script.frames, script.frames))
 
@@ -71,12 +71,11 @@ def _predictable(body, script, vertices, by):
     return int(beyond[0]) if len(beyond) else len(vertices)
 
 
-def _row(kind, by, motion, seed, solids, one, other, frames, seconds):
+def _row(kind, by, motion, seed, how, one, other, frames, seconds):
     apart = 1000 * np.linalg.norm(one - other, axis=2)
     early = apart[: max(frames, 1)]
     figures = [float(np.round(f(v), 3)) for v in (early, apart) for f in (np.median, lambda v: np.quantile(v, 0.9))]
-    own = solids if kind == "plush" else ""
-    return Row(kind, own, "+".join(by), motion, seed, frames, len(one), *figures, round(seconds, 1))
+    return Row(kind, meshing(kind, **how), "+".join(by), motion, seed, frames, len(one), *figures, round(seconds, 1))
 
 
 def main(arguments=None) -> int:
@@ -86,8 +85,9 @@ def main(arguments=None) -> int:
         require(options.engines)
         rows = [Row(**row) for row in json.loads(options.out.read_text())] if options.out and options.out.exists() else []
         for one in _wanted(options):
-            if not any((r.kind, r.engine, r.motion, r.seed) == one and r.solids in ("", options.solids) for r in rows):
-                rows += _measured(*one, options.solids, options.frames)
+            how = {"solids": options.solids, "thin": options.thin}
+            if not any((r.kind, r.engine, r.motion, r.seed) == one and r.solids == meshing(one[0], **how) for r in rows):
+                rows += _measured(*one, how, options.frames)
                 _write(options.out, rows)
     except (ImportError, ValueError, OSError) as error:
         print(error, file=sys.stderr)
@@ -105,10 +105,10 @@ def _wanted(options):
                 yield from ((kind, by, motion, seed) for seed in options.seeds)
 
 
-def _measured(kind, by, motion, seed, solids, frames):
+def _measured(kind, by, motion, seed, how, frames):
     """The row, as a list; none where a simulation is unstable."""
     try:
-        row = (compare if "+" in by else refined)(kind, *by.split("+"), motion, seed, solids=solids, frames=frames)
+        row = (compare if "+" in by else refined)(kind, *by.split("+"), motion, seed, frames=frames, **how)
     except Unstable as reason:
         print(f"{kind} {by} {motion} {seed}: {reason}", file=sys.stderr, flush=True)
         return []
@@ -128,6 +128,7 @@ def _options(arguments):
     parser.add_argument("--motions", nargs="+", choices=(*motions.GENTLE, *motions.KINDS), default=("lift", "lift_shake"))
     parser.add_argument("--seeds", nargs="+", type=int, default=(1,))
     parser.add_argument("--solids", choices=SOLIDS, default="hexahedra", help="of what stuffed bodies are made")
+    parser.add_argument("--thin", choices=THIN, default="resolved", help="how ropes and cloths are meshed")
     parser.add_argument("--frames", type=int, default=0, help="no more than that many frames; 0 for all")
     parser.add_argument("--between", action="store_true", help="the first engine against the others, on one mesh, instead of refining")
     parser.add_argument("--out", type=Path, help="JSON file of the rows; those that are there are kept")

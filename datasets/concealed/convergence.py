@@ -21,7 +21,7 @@ MEASURED = Path(__file__).with_name("refinement.json")
 class Row:
     """How far apart two simulations of a body are: by one engine on its mesh and on one with edges half as long, or by ``one+other``.
 
-    solids   of what a stuffed body is made, "" for others
+    solids   of what a stuffed body is made; of a rope or cloth "resolved", or "" for a coarse one (``bodies.meshing``)
     frames   that can be predicted, of ``whole``
     early, early_most, apart, most  median and 90 % quantile of the distance [mm] in those, and in all frames
     seconds  of a processor that the simulation on the body's own mesh takes
@@ -47,12 +47,12 @@ def rows() -> tuple[Row, ...]:
     return tuple(Row(**row) for row in json.loads(MEASURED.read_text()))
 
 
-def refinement(kind: str, engine: str, solids: str, interactions) -> dict:
-    """What a label says of a body in ``interactions``: ``refinement_mm``, by how much halving the mesh moves nine tenths of what can be
-    predicted, the largest of what was measured; and ``unconverged``, whether that is more than a recording's noise. Where its motions
-    were not measured, those of the same body and engine count; where none was, both are None.
+def refinement(kind: str, engine: str, mesh: str, interactions) -> dict:
+    """What a label says of a body of ``mesh`` (``bodies.meshing``) in ``interactions``: ``refinement_mm``, by how much halving the mesh
+    moves nine tenths of what can be predicted, the largest of what was measured; and ``unconverged``, whether that is more than a
+    recording's noise. Where its motions were not measured, those of the same body and engine count; where none was, both are None.
     """
-    own = [r for r in rows() if (r.kind, r.engine, r.solids) == (kind, engine, solids if kind == "plush" else "")]
+    own = [r for r in rows() if (r.kind, r.engine, r.solids) == (kind, engine, mesh)]
     same = [r for r in own if r.motion in interactions] if {r.motion for r in own} >= set(interactions) else own
     most = max((r.early_most for r in same), default=None)
     return {"refinement_mm": most, "unconverged": None if most is None else most > 1000 * NOISE}

@@ -19,7 +19,11 @@ SETTLE = 0.3  # the body lies in closed grips that long before frame 0 [s]
 SLIPPERY = 1e-5  # of the table: MuJoCo takes the larger coefficient of the two in contact, so the body's own counts
 UNROLLED = 0.1  # m, torsional and rolling friction of a rope: where friction times its radius is less it slides and never rolls
 CELLS_SMALLER = 2  # as many steps for quadratic cells: these ring where tetrahedra are too stiff to, and the steps are of first order
+ROPE_SMALLER = 4  # as many steps for resolved ropes: the shorter the segments of a chain, the shorter the steps that it converges with
 CLOSE = 1e-6  # relative residual to which steps of quadratic cells are solved; their solver runs out of iterations at a hundredth of that
+JOINT, STIFFNESS = 10, 4  # numbers that MuJoCo keeps for a joint of a rope, and which of them is half its stiffness E I / l
+FIRM = 0.9999  # impedance of the grip on a resolved rope or cloth
+BEND = 17  # numbers that it keeps for an edge of a cloth
 FASTEST = 20.0  # no vertex of a sane simulation is faster [m/s]
 # what laws ask of elements, and MuJoCo's quadratic cells, linear and corotated, do not give
 UNABLE_OF_CELLS = frozenset(
@@ -230,6 +234,8 @@ class World:
 
     def _material(self):
         body, model = self.body, self.model
+        if body.dim == 1 and body.resolved:
+            self._clamp()
         if body.dim == 1 or body.cells is not None:
             return
         elements = Elements.of(model)
@@ -243,6 +249,25 @@ class World:
         self.elements = Elements.of(model)
         if body.dim == 2:
             model.flex_bending[: len(model.flex_bending) // model.nflex] *= body.bending
+            if body.resolved:
+                self._hem()
+
+    def _clamp(self):
+        """Where a held segment of a rope ends, half of what a joint stands for is in the hand."""
+        held = np.isin(self.body.elements, np.concatenate([np.zeros(0, int), *self.gripped])).all(axis=1)
+        joints = self.model.flex_bending[1:].reshape(-1, JOINT)  # a number of joints, then for each vertices, stiffness, angles, twist
+        joints[:, STIFFNESS] *= np.where(held[1:] ^ held[:-1], 2.0, 1.0)
+
+    def _hem(self):
+        """Of an edge at which held triangles end, only the other triangle bends: as ``finite.shells.Creases.clamp`` has it."""
+        from .finite.shells import Creases
+
+        creases, model = Creases(self.body), self.model
+        creases.clamp(np.isin(np.arange(len(self.body.vertices)), np.concatenate([np.zeros(0, int), *self.gripped])))
+        factor = {tuple(sorted(ends)): f for ends, f in zip(creases.nodes[:, :2].tolist(), creases.scale.tolist(), strict=True)}
+        rows = model.flex_bending.reshape(-1, BEND)
+        for row, ends in enumerate(model.flex_edge.tolist()):
+            rows[row] *= factor.get(tuple(sorted(ends)), 1.0)
 
     def _grips(self, script):
         self.origins = [np.array(hand.grip) + [0, 0, self.body.radius] for hand in script.hands]
@@ -292,7 +317,7 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     Raises Unstable where the solution blows up or MuJoCo warns.
     """
     physics = physics or Physics()
-    substeps *= 1 if body.cells is None else CELLS_SMALLER
+    substeps *= CELLS_SMALLER if body.cells is not None else ROPE_SMALLER if body.resolved and body.dim == 1 else 1
     world = World(body, script, physics, substeps)
     steps, settle = (script.frames - 1) * substeps, round(settle / world.dt)
     paths = []
@@ -390,9 +415,11 @@ def _mjcf(body, points, gripped, physics, dt):
         f'<inertial pos="0 0 0" mass="{HAND_MASS}" diaginertia="{HAND_MASS} {HAND_MASS} {HAND_MASS}"/></body>'
         for i in range(len(gripped))
     )
+    # a grip gives way by 1 - 0.99 of what pulls at it, which turns the short segments of a fine rope more than those of a coarse one
+    grasp = stiff.replace("0.99 0.999", f"{FIRM} {FIRM}") if body.resolved else stiff
     names = _names(body)
     grips = "".join(
-        f'<connect body1="hand_{i}" body2="{names[v]}" anchor="0 0 0" {stiff}/>' for i, held in enumerate(gripped) for v in held
+        f'<connect body1="hand_{i}" body2="{names[v]}" anchor="0 0 0" {grasp}/>' for i, held in enumerate(gripped) for v in held
     )
     grip = f'condim="6" friction="{body.friction} {UNROLLED} {UNROLLED}"' if body.dim == 1 else f'friction="{body.friction}"'
     contact = f'<contact selfcollide="{"auto" if body.layers else "none"}" {grip} {stiff}/>'
@@ -400,11 +427,13 @@ def _mjcf(body, points, gripped, physics, dt):
     rest = {1: f'shear="{body.shear:.9g}"', 2: f'thickness="{body.thickness}" elastic2d="both"', 3: ""}[body.dim]
     yields = f'yield="{numbers(body.yields if body.dim == 2 else body.yields[:1])}"' if max(body.yields) > 0 else ""
     edge = f'<edge equality="true" {stiff}/>' if body.dim == 1 else ""
-    close = 1e-8 if body.cells is None else CLOSE
+    solver = f'solver="CG" iterations="200" tolerance="{1e-8 if body.cells is None else CLOSE}"'
+    if body.resolved and body.dim == 1:  # conjugate gradients run out of iterations where a fine chain hardly stretches
+        solver = 'solver="Newton" iterations="100" tolerance="1e-12"'
     cells = "" if body.cells is None else f'dof="quadratic" cellcount="{numbers(body.about["cells"])}"'
     return f"""<mujoco>
-  <option timestep="{dt:.12g}" integrator="discrete" cone="elliptic" solver="CG" iterations="200" tolerance="{close}"/>
-  <size memory="64M"/>
+  <option timestep="{dt:.12g}" integrator="discrete" cone="elliptic" {solver}/>
+  <size memory="{1024 if body.resolved else 64}M"/>
   <worldbody>
     {_table(physics)}
     {"".join(map(_geom, physics.obstacles))}

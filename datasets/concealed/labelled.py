@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ..pool import Pool
-from .bodies import SOLIDS
+from .bodies import SOLIDS, THIN, meshing
 from .case import CLEAR, CONTROLS, build
 from .convergence import refinement
 from .effects import EFFECTS, OUTSIDE
@@ -52,7 +52,7 @@ def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, pair
     write_pair(case, folder, index)
     (out / TRUTH).mkdir(exist_ok=True)
     np.savez_compressed(out / TRUTH / f"{folder.name}.npz", **case.truth)
-    label = case.label | refinement(body, how["engine"], how["solids"], case.label["interactions"])
+    label = case.label | refinement(body, how["engine"], meshing(body, how["solids"], how["thin"]), case.label["interactions"])
     return label | {"seconds": round(time.time() - begun, 1)}
 
 
@@ -84,6 +84,12 @@ def _options(arguments):
     parser.add_argument(
         "--solids", choices=SOLIDS, default="tetrahedra", help="of what stuffed bodies are made: hexahedra and boxes do not lock"
     )
+    parser.add_argument(
+        "--thin",
+        choices=THIN,
+        default="coarse",
+        help="how ropes and cloths are meshed: resolved ones are held alike on every mesh",
+    )
     parser.add_argument("--pairs", nargs="+", default=(), metavar="FIT:TRANSFER", help="interactions of the cases in turn, as lift:slow")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
     parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")
@@ -98,7 +104,7 @@ def _write(options):
     labels = json.loads(file.read_text()) if file.exists() else {}
     wanted = {f"case_{i:03d}": (i, *case) for i, case in enumerate(cases)}
     todo = {name: case for name, case in wanted.items() if name not in labels or not (options.out / name / "transfer").is_dir()}
-    how = {"clear": tuple(options.clear), "engine": options.engine, "solids": options.solids}
+    how = {"clear": tuple(options.clear), "engine": options.engine, "solids": options.solids, "thin": options.thin}
     with Pool(options.jobs) as pool:
         running = {pool.submit(make, options.out, *case, options.seed, options.pairs, **how): name for name, case in todo.items()}
         for done, future in enumerate(as_completed(running), 1):

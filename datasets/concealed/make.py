@@ -17,7 +17,7 @@ import numpy as np
 
 from ..phystwin import write_case
 from ..pool import Pool
-from .bodies import BODIES
+from .bodies import BODIES, meshing
 from .case import CLEAR, Case, build
 from .convergence import refinement
 from .effects import EFFECTS, OUTSIDE
@@ -64,7 +64,8 @@ def make(
     folder = Folder(Path(out))
     require(engines)
     entries = plan(preset, seed, engines=engines)
-    solids = (PRESETS[preset] if isinstance(preset, str) else preset).solids
+    asked = PRESETS[preset] if isinstance(preset, str) else preset
+    how = {"solids": asked.solids, "thin": asked.thin}
     ours = {"seed": seed, "plan": [{**asdict(e), "clear": list(e.clear)} for e in entries]}
     file = folder.kept / "plan.json"
     if file.exists() and read_json(file) != ours:
@@ -79,7 +80,7 @@ def make(
     write_json(file, ours)
     todo = {f"case_{k:03d}": (k, entry) for k, entry in enumerate(entries) if not _there(folder, f"case_{k:03d}")}
     with Pool(jobs) as pool:
-        running = [pool.submit(_one, folder, name, k, entry, seed, tuple(engines), solids) for name, (k, entry) in todo.items()]
+        running = [pool.submit(_one, folder, name, k, entry, seed, tuple(engines), how) for name, (k, entry) in todo.items()]
         for done, future in enumerate(as_completed(running), 1):
             progress(f"{done} of {len(todo)}: {future.result()}")
     cases = {}
@@ -106,7 +107,7 @@ def _there(folder: Folder, name: str) -> bool:
     return file.exists() and ("label" not in read_json(file) or (folder.cases / name / "transfer").is_dir())
 
 
-def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines: Sequence[str], solids: str) -> str:
+def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines: Sequence[str], how: dict) -> str:
     """Draw and write one case; says whether it could be drawn."""
     reasons = []
     turns = list(islice(_turns(entry, engines), TRIES))
@@ -115,15 +116,15 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
     for attempt, (body, by, clear, level) in enumerate(tried):
         own = int(np.random.default_rng([entropy(seed), 1, index, attempt]).integers(2**31))
         try:
-            case = build(entry.kind, entry.name, body, seed=own, clear=tuple(clear), like=entry.like, engine=by, solids=solids)
+            case = build(entry.kind, entry.name, body, seed=own, clear=tuple(clear), like=entry.like, engine=by, **how)
         except RuntimeError as reason:
             reasons.append(str(reason))
             continue
         write_pair(case, folder.cases / name, index)
         frames = [len(case.fit.points), len(case.transfer.points)]
         label = case.label | {"level": level, "like": entry.like or None, "simulated_by": by, "frames": frames}
-        if solids != Preset.solids:  # labels of sets that are sealed already stay as they were published
-            label |= refinement(body, by, solids, label["interactions"])
+        if how != {"solids": Preset.solids, "thin": Preset.thin}:  # labels of sets that are sealed already stay as they were published
+            label |= refinement(body, by, meshing(body, **how), label["interactions"])
         write_json(folder.kept / f"{name}.json", {"label": label, "salt": salt_of(seed, name)})
         return name
     write_json(folder.kept / f"{name}.json", {"undrawn": reasons})

@@ -32,7 +32,8 @@ PAIRS = (
 class Preset:
     """How many: ``controls``; cases of every effect, one for each of ``levels``, its size over ``FLOOR``; of ``effects`` effects, all where
     that is None; cases with what no catalogue lists (``outside``), and with two effects (``pairs``). ``solids`` of ``bodies.SOLIDS`` says
-    what stuffed bodies are made of: what locks, as in the sets that were sealed with these presets, unless another is asked.
+    what stuffed bodies are made of, ``thin`` of ``bodies.THIN`` how ropes and cloths are meshed: what locks, and coarsely, as in the sets
+    that were sealed with these presets, unless another is asked.
     """
 
     controls: int
@@ -41,6 +42,7 @@ class Preset:
     pairs: int
     effects: int | None = None
     solids: str = "tetrahedra"
+    thin: str = "coarse"
 
 
 PRESETS = {

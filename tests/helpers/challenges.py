@@ -25,7 +25,7 @@ def filmed(name, rng, *, frames=12, moved=0.0):
     return Scenario(name=name, points=points, visible=there, motion_valid=there, controllers=points[:, :3] + 0.01, **about)
 
 
-def drawn(kind, name, body, *, seed, clear, like, engine, solids="tetrahedra"):
+def drawn(kind, name, body, *, seed, clear, like, engine, solids="tetrahedra", thin="coarse"):
     """What ``build`` does, at no cost; a torn body cannot be drawn as a cloth."""
     if name == "tearing" and body == "cloth":
         raise RuntimeError("no tearing of a cloth")

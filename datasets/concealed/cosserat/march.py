@@ -43,6 +43,7 @@ class World:
         self.mass = self.rod.mass
         self.set_mass(body.mass)
         self.soft, self.before, self.felt = {}, self.anchors.copy(), np.zeros_like(self.anchors)
+        self.bend = self.rod.bend_matrix.copy()
         self._contact(physics)
         self._viscosity()
         self._grip()
@@ -89,6 +90,9 @@ class World:
         # a firm hand holds the segments between its vertices against turning
         clamped = [(s, h) for h, g in enumerate(self.gripped) if h not in self.soft for s in g if s + 1 in g]
         segments, turners = np.array(clamped, int).reshape(-1, 2).T.copy()
+        if self.body.resolved:  # where a held segment ends, half of what a joint stands for is in the hand
+            held = np.isin(np.arange(len(self.start) - 1), segments)
+            self.rod.bend_matrix[:] = self.bend * np.where(held[1:] ^ held[:-1], 2.0, 1.0)
         self.grips = Grips(
             vertices=vertices,
             hands=hands,
@@ -226,7 +230,7 @@ def _rod(body, vertices):
         directors=directors,
     )
     rod.bend_matrix[:] = np.diag([body.young * inertia, body.young * inertia, 2 * body.shear * inertia])[:, :, None]
-    rod.shear_matrix[:] = TAUT * weight * np.eye(3)[:, :, None]
+    rod.shear_matrix[:] = (body.axial or TAUT * weight) * np.eye(3)[:, :, None]
     rod.rest_kappa[:] = rod.kappa
     return Rod(*(getattr(rod, name) for name in Rod._fields))
 

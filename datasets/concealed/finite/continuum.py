@@ -108,6 +108,11 @@ class Continuum:
             view[:, :, axis, :, axis] += turning
         return -pull @ np.swapaxes(gradient, 1, 2), blocks
 
+    def pull(self, x, dt):
+        """Forces (K, n, 3) alone at the end of a step of ``dt`` that leads to ``x``."""
+        gradient, stress, _ = self._stressed(x, dt)
+        return -(self.volume * self.scale)[:, None, None] * (self.slopes @ stress) @ np.swapaxes(gradient, 1, 2)
+
     def _stressed(self, x, dt):
         """Deformation gradients, second Piola-Kirchhoff stresses (K, dim, dim) and their tangents (K, M, M) at the end of a step."""
         gradient = self.gradient(x)

@@ -24,7 +24,7 @@ __all__ = ["World", "simulate"]
 
 COARSER = 4  # times the step of an explicit or half implicit engine
 MOST = 12  # iterations in a step
-MOST_LAGGED = 40  # iterations in a step of quadratic elements: their matrix is kept until corrections shrink too slowly
+MOST_LAGGED = 40  # iterations in a step of quadratic elements and resolved cloths: their matrix is kept until corrections shrink too slowly
 SLOW = 0.4  # share of the correction before that the next may have before the matrix is made anew
 EXACT = 3e-6  # the last correction of a step is smaller [m]
 LONGEST = 0.02  # correction [m]
@@ -82,9 +82,14 @@ class World:
                 segments = np.flatnonzero(np.isin(self.body.elements, vertices).all(axis=1))
                 free[(3 * count + 3 * segments[:, None] + np.arange(3)).ravel()] = False
                 self.clamped.append((hand, segments, self.frames[segments].copy()))
+            if self.body.resolved:
+                self.rod.clamp(np.concatenate([np.zeros(0, int), *(segments for _, segments, _ in self.clamped)]))
+        if self.body.resolved and self.body.dim == 2:
+            self.parts[1].clamp(self.held)
         self.dofs = [*dofs, corners]
         self.system = Banded(self.dofs, free)
-        self.lagged, self.factored = self.body.cells is not None, (None, None)
+        self.lagged = self.body.cells is not None or (self.body.resolved and self.body.dim == 2)
+        self.factored = None, None
 
     # --- what laws ask and do ---------------------------------------------------------------------------------------------------------
 

@@ -30,7 +30,7 @@ class Rod:
         self.between = (self.length[1:] + self.length[:-1]) / 2
         self.frames = _frames(way / self.length[:, None])
         section, inertia = np.pi * body.radius**2, np.pi * body.radius**4 / 4
-        self.axial = STIFF * body.young * section
+        self.axial = body.axial or STIFF * body.young * section
         self.bending = np.array([body.young * inertia, body.young * inertia, 2 * body.shear * inertia])
         self.damping = body.damping
         mass = np.bincount(np.arange(len(first)), (body.mass[first] + body.mass[second]) / 2)
@@ -57,6 +57,12 @@ class Rod:
         moment = self.bending / self.between[:, None] * (bent + rate * (bent - self.before[1]))
         joints = np.swapaxes(turns, 1, 2) @ (((1 + rate) * self.bending / self.between[:, None])[:, :, None] * turns)
         return (-np.einsum("kri,kr->ki", rows, load), -np.einsum("kri,kr->ki", turns, moment)), (blocks, joints)
+
+    def clamp(self, segments):
+        """``segments`` are held against turning, up to their ends: where the next begins, only its own half bends."""
+        held = np.isin(np.arange(len(self.length)), segments)
+        own = np.where(held, 0, self.length)
+        self.between = np.where(held[1:] & held[:-1], self.length[1:] + self.length[:-1], own[1:] + own[:-1]) / 2
 
     def commit(self, x, frames):
         self.before = (self._stretch(x, frames)[0], self._bend(frames)[0])

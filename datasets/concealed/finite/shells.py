@@ -22,7 +22,7 @@ class Creases:
         length = np.linalg.norm(x[self.nodes[:, 1]] - x[self.nodes[:, 0]], axis=1)
         area = body.measure[self.sides].sum(axis=1)
         plate = body.young * body.thickness**3 / 12 / (1 - body.poisson**2) * body.bending
-        self.stiffness = plate * length**2 / area
+        self.stiffness, self.areas = plate * length**2 / area, body.measure[self.sides]
         if body.stiffness is not None:
             self.stiffness = self.stiffness * body.stiffness[self.sides].mean(axis=1)
         self.scale = np.ones(len(length))
@@ -31,6 +31,12 @@ class Creases:
         self.limit = (body.yields[1] or np.inf) * self.per_strain
         self.tau, self.branches = np.inf, []
         self.rest = self.before = self.angle(x)[0]
+
+    def clamp(self, held: np.ndarray) -> None:
+        """Triangles with all corners in ``held`` (V,) do not bend: of an edge at which they end, only the other triangle does."""
+        firm = np.stack([held[self.nodes[:, [0, 1, k]]].all(axis=1) for k in (2, 3)], axis=1)
+        bends = np.where(firm.all(axis=1), self.areas.sum(axis=1), (self.areas * ~firm).sum(axis=1))
+        self.scale = self.areas.sum(axis=1) / bends
 
     def branch(self, ratio: float, *, tau: float = np.inf, limit: float = np.inf) -> None:
         """As that of the elements; ``limit`` is a strain of the surface."""
@@ -55,15 +61,25 @@ class Creases:
 
     def evaluate(self, x, dt, *, firm=False):
         """Forces (K, 4, 3) and stiffness blocks (K, 12, 12), always positive, at the end of a step of ``dt`` that leads to ``x``."""
-        angle, slopes = self.angle(x)
         stiffness = self.stiffness * self.scale
+        slopes, bent, more = self._bent(x, dt)
+        moment = stiffness * bent
+        flat = slopes.reshape(len(slopes), 12)
+        return -moment[:, None, None] * slopes, (more * stiffness)[:, None, None] * flat[:, :, None] * flat[:, None, :]
+
+    def pull(self, x, dt):
+        """Forces (K, 4, 3) alone."""
+        slopes, bent, _ = self._bent(x, dt)
+        return -(self.stiffness * self.scale * bent)[:, None, None] * slopes
+
+    def _bent(self, x, dt):
+        """Slopes of the angles, what of the angles makes moments, and how that grows with them."""
+        angle, slopes = self.angle(x)
         bent, more = _near(angle - self._flowed(angle, dt)) + self.damping / dt * _near(angle - self.before), 1 + self.damping / dt
         for ratio, tau, limit, memory in self.branches:
             bent = bent + ratio * _carried(angle, memory, tau, limit, dt)
             more = more + ratio
-        moment = stiffness * bent
-        flat = slopes.reshape(len(slopes), 12)
-        return -moment[:, None, None] * slopes, (more * stiffness)[:, None, None] * flat[:, :, None] * flat[:, None, :]
+        return slopes, bent, more
 
     def commit(self, x, dt):
         angle = self.angle(x)[0]

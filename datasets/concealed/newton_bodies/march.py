@@ -132,6 +132,10 @@ class World:
 
     def begin(self) -> None:
         """Laws have said what they want: give it to Newton."""
+        if self.bends and self.body.resolved:
+            creases = self.bends.creases
+            creases.clamp(self.held)
+            creases.stiffness = creases.stiffness * creases.scale
         self.scene = Scene(self.body, self.start, self.elements, self.bends, self.physics, self.dt, ITERATIONS)
         self._tell()
         self._weigh()
