@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from twinbench.benchmark import curve
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.curve import curves
 from twinbench.benchmark.results import Results, write_results
@@ -64,3 +65,18 @@ def test_wrong_input_is_refused(tmp_path, capsys, results):
     ):
         assert main(["curve", *arguments]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_bars_are_the_leaderboards_intervals_and_wide_means_are_logarithmic(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    values = {1: (0.03, 0.05, 0.07), 5: (0.003, 0.004, 0.008)}
+    rows = [row(f"gs-dynamics ({n} clip{'s' * (n > 1)})", s, v) for n, own in values.items() for s, v in zip("xyz", own, strict=True)]
+    drawn = []
+    monkeypatch.setattr(curve, "save", lambda figure, path: drawn.append(figure))
+    curve.draw_curves(Results(rows, {"chamfer": "m"}, {"chamfer": "lower"}), "chamfer", tmp_path / "c.png")
+    (panel,) = drawn[0].axes
+    assert panel.get_yscale() == "log"  # means of 50 and 5 mm
+    bars = [segment[:, 1] for collection in panel.collections for segment in collection.get_segments()]
+    for own, (low, high) in zip(values.values(), bars, strict=True):
+        half = 4.302653 * np.std(own, ddof=1) / np.sqrt(3) * 1e3  # Student's t with 2 degrees of freedom, 97.5 %
+        assert (low, high) == pytest.approx((1e3 * np.mean(own) - half, 1e3 * np.mean(own) + half), rel=1e-5)
