@@ -9,7 +9,7 @@ import clips
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from twinbench.datasets.capture import RawCamera, RawRecording, open_raw
@@ -197,6 +197,7 @@ JSON = st.recursive(
 
 
 @settings(max_examples=150, deadline=None)
+@example("stamps", None)
 @given(st.sampled_from(["cameras", "gravity", "ground", *sorted(_KEYS)]), JSON)
 def test_whatever_a_field_holds_it_is_read_or_refused(tmp_path_factory, key, value):
     folder = tmp_path_factory.getbasetemp() / "any"

@@ -77,8 +77,9 @@ def _camera(folder, name, entry):
         raise ValueError(
             f"camera {name} must have {', '.join(sorted(_NEEDED))}, and may have {', '.join(sorted(_KEYS - _NEEDED))}, got {got}"
         )
-    if ("stamps" in entry) == ("fps" in entry):
-        raise ValueError(f"camera {name} must have either stamps or fps, got {'both' if 'fps' in entry else 'neither'}")
+    stamps, fps = entry.get("stamps"), entry.get("fps")
+    if (stamps is None) == (fps is None):
+        raise ValueError(f"camera {name} must have either stamps or fps, got {'neither' if fps is None else 'both'}")
     size = entry["size"]
     if not (isinstance(size, list) and len(size) == 2 and all(type(n) is int for n in size)):
         raise ValueError(f"size of camera {name} must be [width, height], got {shown(size)}")
@@ -91,9 +92,7 @@ def _camera(folder, name, entry):
         for one in background:
             _check_inside(name, "background", one)
     frames = PictureFiles(folder, name, entry["color"], entry["depth"], tuple(size), background)
-    stamps = entry.get("stamps")
     if stamps is None:
-        fps = entry["fps"]
         if type(fps) not in (int, float) or not 0 < fps <= 1000:
             raise ValueError(f"fps of camera {name} must be a number in (0, 1000], got {shown(fps)}")
         stamps = np.arange(len(frames)) / fps
