@@ -40,14 +40,14 @@ def told(label: dict, grid_axes) -> tuple[tuple, list[Unknown], dict]:
         at = {f"added_mass_{axis}": float(c) for axis, c in zip("xyz", place["centroid"], strict=True)}
         return (terms.AddedMass(),), [_amount("added_mass", 0.2, 0.01, 10.0, "-")], at | {"added_mass_within": place["radius"]}
     if effect == "wind":
-        pulls = [Unknown(f"wind_{axis}", 0.0, -100.0, 100.0, "m/s^2") for axis in "xyz"]
+        pulls = [_bounded(terms.Wind, f"wind_{axis}", 0.0) for axis in "xyz"]
         return (terms.Wind(),), [*pulls, _amount("wind_speed", 3.0, 0.2, 50.0, "m/s")], {}
     if effect == "anisotropy":
         x, y, z = np.asarray(grid_axes) @ np.asarray(known["axis_frame0"])
         way = {"fibre_azimuth": float(np.arctan2(y, x)), "fibre_elevation": float(np.arcsin(np.clip(z, -1, 1))), "fibre_compression": 1.0}
         return (terms.Fibres(),), [_amount("fibre_share", 1.0, 0.05, 50.0, "-")], way
     if effect == "compression_softening":
-        return (terms.TensionCompression(),), [Unknown("tension_share", 0.1, -1.2, 1.2, "-")], {}
+        return (terms.TensionCompression(),), [_bounded(terms.TensionCompression, "tension_share", 0.1)], {}
     if effect == "grip_compliance":
         return (), [_amount("grip_rate", 100.0, 5.0, 1500.0, "1/s"), Unknown("grip_damping", 0.3, 0.0, 2.0, "-")], {}
     if effect == "quadratic_drag":
@@ -55,6 +55,12 @@ def told(label: dict, grid_axes) -> tuple[tuple, list[Unknown], dict]:
     if effect == "creep":
         return (terms.NortonCreep(),), [_amount("norton_rate", 1.0, 0.05, 20.0, "1/s")], {}
     raise KeyError(effect)
+
+
+def _bounded(term, name, value):
+    """An amount that may be whatever its ``term`` allows."""
+    known = next(p for p in term.parameters if p.name == name)
+    return Unknown(name, value, known.low, known.high, known.unit)
 
 
 def _amount(name, value, low, high, unit):

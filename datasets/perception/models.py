@@ -37,15 +37,12 @@ class Sam2(Masker):
         with tempfile.TemporaryDirectory() as folder:
             _as_jpegs(Path(folder), clip.colors)
             state = predictor.init_state(video_path=folder)
-            what = (
-                {"points": np.array(prompts.object, np.float32), "labels": np.ones(len(prompts.object), np.int32)} if prompts.object else {}
-            )
+            what = _clicks(prompts.object)
             if prompts.box is not None:
                 what["box"] = np.array(prompts.box, np.float32)
             predictor.add_new_points_or_box(inference_state=state, frame_idx=0, obj_id=1, **what)
             if prompts.hand:
-                what = {"points": np.array(prompts.hand, np.float32), "labels": np.ones(len(prompts.hand), np.int32)}
-                predictor.add_new_points_or_box(inference_state=state, frame_idx=0, obj_id=2, **what)
+                predictor.add_new_points_or_box(inference_state=state, frame_idx=0, obj_id=2, **_clicks(prompts.hand))
             for frame, ids, logits in predictor.propagate_in_video(state):
                 for one, logit in zip(ids, logits, strict=True):
                     found[int(one)][frame] = (logit[0] > 0).cpu().numpy()

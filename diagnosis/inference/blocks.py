@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...datasets.scenario import Scenario
-from ...methods.continuum.sights import LEAST_NOISE
+from ...methods.continuum.sights import LEAST_NOISE, regions_of
 from ..config import DiagnosisConfig
 from .covariance import Layout
 
@@ -47,15 +47,14 @@ class Blocks:
     @classmethod
     def of(cls, recording: Scenario, config: DiagnosisConfig) -> Blocks:
         """Of fitted frames and of those held out, in bins of their own. Raises NoTracks for clouds, and where no cell has enough tracks."""
-        from scipy.cluster.vq import kmeans2
         from scipy.sparse import csr_matrix
 
         if not recording.correspond:
             raise NoTracks(f"block means need tracks; points of this recording do not correspond (scenario {recording.name})")
         points, seen = np.nan_to_num(recording.points), recording.visible.copy()
         seen[:, recording.grips[recording.grips >= 0]] = False  # driven markers are told, not predicted
-        frames, count = seen.shape
-        label = kmeans2(points[0], min(config.regions, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
+        frames = len(seen)
+        label = regions_of(points[0], config.regions)
         bins = _bins(frames, recording.split.train_end, config)
         cell = (bins[:, None] * (label.max() + 1) + label).ravel()
         tracks = np.array([[seen[bins == b][:, label == r].any(0).sum() for r in range(label.max() + 1)] for b in range(bins.max() + 1)])

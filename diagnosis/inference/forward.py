@@ -66,7 +66,7 @@ class Forward:
             unknowns,
             np.array(twin.posterior["scaled"]),
             np.array(twin.posterior["covariance"]),
-            {k: v for k, v in twin.values.items() if not k.startswith("grip") or k in ("grip_rate", "grip_damping")},
+            twin.own_values,
             tuple(recordings),
             tuple(
                 Simulator(_coarser(s, r.observed(), config.cells), twin.extra, twin.device) for s, r in zip(scenes, recordings, strict=True)
@@ -121,7 +121,7 @@ class Forward:
 
     def with_terms(self, terms: Sequence[Term]) -> Forward:
         """The same twins with further laws."""
-        made = [Simulator(s.scene, (*s.extra, *(_told(t, s.scene) for t in terms)), s.device) for s in self.simulators]
+        made = [replace(s, extra=(*s.extra, *(_told(t, s.scene) for t in terms))) for s in self.simulators]
         return replace(self, simulators=tuple(made))
 
     def with_scenes(self, scenes, finer: int = 1) -> Forward:

@@ -16,7 +16,7 @@ from .problem import posed
 from .result import Fit
 from .robust import StudentT
 from .scene import REACH, SHIFT, Scene
-from .sights import CloudSight, Sight, sight_of
+from .sights import CloudSight, Sight, regions_of, sight_of
 from .simulate import Simulator
 from .unknowns import Unknown, members
 
@@ -233,11 +233,7 @@ def _jacobian(found: Fit, simulate):
 
 def _blocks(sight: Sight, record: int):
     """(R,) which of ``REGIONS`` parts of a body each coordinate belongs to: those that lie together in frame 0."""
-    from scipy.cluster.vq import kmeans2
-
-    count = sight.points.shape[1]
-    places = np.nan_to_num(sight.points[0])
-    label = kmeans2(places, min(REGIONS, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
+    label = regions_of(np.nan_to_num(sight.points[0]), REGIONS)
     return np.tile(np.repeat(record * REGIONS + label, 3), len(sight.points))
 
 

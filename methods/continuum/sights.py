@@ -9,7 +9,7 @@ import numpy as np
 from ...datasets.scenario import Observed
 from .clouds import Cover, Patches, covers, evenly, roughness
 
-__all__ = ["CloudSight", "Sight", "jitter", "sight_of"]
+__all__ = ["CloudSight", "Sight", "jitter", "regions_of", "sight_of"]
 
 ROUGH = 4.0  # times their noise, by which tracks are heard before it is known what can be predicted
 LEAST_NOISE = 5e-4  # m: of tracks whose simulation is exact
@@ -124,6 +124,14 @@ class CloudSight:
 def sight_of(recording: Observed, frames: int | None) -> Sight | CloudSight:
     """What was seen in the first ``frames`` frames of a recording, or in all."""
     return (Sight if recording.correspond else CloudSight).of(recording, frames)
+
+
+def regions_of(places, most: int) -> np.ndarray:
+    """(N,) which of at most ``most`` regions each of ``places`` (N, 3) m is in: those that lie together."""
+    from scipy.cluster.vq import kmeans2
+
+    count = len(places)
+    return kmeans2(places, min(most, count), seed=0, minit="++")[1] if count > 1 else np.zeros(count, int)
 
 
 def jitter(points, seen) -> float:

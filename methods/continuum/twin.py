@@ -42,6 +42,12 @@ class ContinuumTwin(Twin):
     def note(self) -> str:
         return "; ".join(dict.fromkeys(self.scene.notes))
 
+    @property
+    def own_values(self) -> dict[str, float]:
+        """The values that it has in any recording: all but where, and how far, its hands hold here."""
+        own = [p.name for p in terms.SoftGrip.parameters]
+        return {name: v for name, v in self.values.items() if not name.startswith("grip") or name in own}
+
     @cached_property
     def simulator(self) -> Simulator:
         return Simulator(self.scene, self.extra, self.device)
@@ -68,8 +74,7 @@ class ContinuumTwin(Twin):
         first, body = target.until(1), self.scene.body
         start, contact = "frames" if target.observed_frames == 2 else "rest", "on" if self.scene.contact else "off"
         there = placed(first, body.laid(first), Config(start=start, contact=contact), target)
-        values = {name: v for name, v in self.values.items() if not name.startswith("grip") or name in ("grip_rate", "grip_damping")}
-        values |= self._grips(there)
+        values = self.own_values | self._grips(there)
         if "grip_rate" in values and self.scene.soft and there.soft:
             values["grip_rate"] = self._as_stiff(there, values)
         if target.timed:
