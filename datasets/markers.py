@@ -100,7 +100,10 @@ class Cable:
         return np.concatenate(found)
 
     def scenario(self, recording: Recording, session: str) -> Scenario:
-        """All markers are points, the driven ones grips. Training recordings may be fitted whole, eval recordings over their first 70 %."""
+        """All markers are points, the driven ones grips. Training recordings may be fitted whole, eval recordings over their first 70 %.
+
+        Blocks are cut from the middle of motions, and their authors' models are given the first two frames: so are all methods.
+        """
         markers, frames = recording.markers, len(recording.markers)
         visible = np.isfinite(markers).all(-1)
         with named(recording.file):
@@ -118,6 +121,7 @@ class Cable:
                 session=session,
                 split=Split(frames if recording.side == "train" else int(TRAIN_SHARE * frames), frames),
                 tracks=markers,
+                start_frames=2,
             )
 
 

@@ -1,6 +1,7 @@
 """Ropes and cloths whose mesh is finer than what they bend in, and of which a hand holds the same material whatever the mesh.
 
-A cloth's triangles are equilateral but for the rim: on such a mesh a stiffness at each edge is that of a plate in every direction.
+A cloth's triangles are equilateral but for the rim: on such a mesh a stiffness at each edge, as MuJoCo has it, is that of a plate in every
+direction. ``finite`` takes the curvature of each triangle from its angles, which is right along the rim as well.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ __all__ = ["RESOLVED", "triangulated"]
 
 LENGTH = 0.02  # of rope in a block, about [m]: a hand holds two of them
 TAUT = 1000.0  # E A of a rope over its weight: hung by one end it is longer by a part in 2000
+TALL = np.sqrt(0.75)  # of an equilateral triangle over its edge
 PITCH = 0.0135  # edge of a cloth's triangles, about [m]
 LIMP = (0.035, 0.06)  # bending length of a cloth [m]: (flexural rigidity over weight per area)^(1/3), Peirce 1930
 STRETCHY = (60.0, 240.0)  # E h of a cloth [N/m]
@@ -48,6 +50,7 @@ def cloth(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> B
     """
     size = rng.uniform(0.26, 0.38) * np.array([1, rng.uniform(0.8, 1)])
     vertices, faces, blocks = triangulated(size, PITCH, refine * (2 if fine else 1))
+    size = np.ptp(vertices, axis=0)[:2]
     areal, tension, poisson = rng.uniform(0.18, 0.35), float(np.exp(rng.uniform(*np.log(STRETCHY)))), rng.uniform(0.1, 0.35)
     length = float(np.exp(rng.uniform(*np.log(LIMP))))
     thickness = 1e-3
@@ -59,11 +62,13 @@ def cloth(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> B
 
 
 def triangulated(size, pitch: float, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (V, 3), triangles (F, 3) and blocks (B, n) of a rectangle of ``size`` (2,) [m] of triangles with edges of about ``pitch``
-    [m], each divided into ``times`` squared. A block is a hexagon of undivided triangles, its middle first.
+    """Vertices (V, 3), triangles (F, 3) and blocks (B, n) of a rectangle of about ``size`` (2,) [m], of triangles with edges of about
+    ``pitch`` [m], each divided into ``times`` squared. A block is a hexagon of undivided triangles, its middle first. The rectangle is as
+    wide as asked and as high as a whole number of rows: where triangles are longer along one axis, hinges make no even plate.
     """
-    rows = 2 * max(round(size[1] / pitch / np.sqrt(3)), 1)
-    columns = max(round(size[0] * rows * np.sqrt(0.75) / size[1]), 2)
+    columns = max(round(size[0] / pitch), 2)
+    edge = size[0] / columns
+    rows = 2 * max(round(size[1] / edge / TALL / 2), 1)
     even, odd = np.arange(columns + 1.0), np.concatenate([[0.0], np.arange(columns) + 0.5, [columns]])
     places = [np.stack([x, np.full(len(x), float(row))], 1) for row in range(rows + 1) for x in [odd if row % 2 else even]]
     first = np.cumsum([0, *map(len, places)])
@@ -94,7 +99,7 @@ def triangulated(size, pitch: float, times: int) -> tuple[np.ndarray, np.ndarray
     wide = [np.unique(index[own[:, 0]]) for own in owners]
     most = max(map(len, wide))
     blocks = np.array([[middle, *w, *[middle] * (most - len(w))] for middle, w in zip(middles, wide, strict=True)])
-    flat = (grid / (2 * times) / [columns, rows] - 0.5) * size
+    flat = (grid / (2 * times) - np.array([columns, rows]) / 2) * edge * [1, TALL]
     return np.column_stack([flat, np.zeros(len(flat))]), faces, blocks
 
 

@@ -1,7 +1,7 @@
 """A second engine: finite elements and geometrically exact rods, implicit in time, that share nothing with the project's own physics.
 
-Cloths are neo-Hookean membranes with discrete-shell bending, stuffed bodies neo-Hookean tetrahedra or quadratic hexahedra,
-ropes Simo-Reissner rods.
+Cloths are neo-Hookean membranes with discrete-shell bending, or where they are resolved that of a plate, stuffed bodies neo-Hookean
+tetrahedra or quadratic hexahedra, ropes Simo-Reissner rods.
 """
 
 from .march import World, simulate

@@ -16,6 +16,7 @@ from .banded import Banded, one_thread
 from .contact import Contacts, gaps
 from .continuum import Continuum
 from .layers import Layers
+from .plates import Plates
 from .quadratic import Hexahedra
 from .rods import Rod, turned
 from .shells import Creases
@@ -52,7 +53,7 @@ class World:
         belts = [(*physics.belt, 0.0), *[(0.0, 0.0, 0.0)] * len(physics.obstacles)]
         self.contacts = Contacts(surfaces, belts, body.mass, body.friction, body.radius, GRAVITY)
         self.rod = Rod(body, self.start) if body.dim == 1 else None
-        self.parts = [] if body.dim == 1 else [_elastic(body)] + ([Creases(body)] if body.dim == 2 else [])
+        self.parts = [] if body.dim == 1 else [_elastic(body)] + ([_bending(body)] if body.dim == 2 else [])
         self.own = self.parts[0].scale.copy() if self.parts else np.ones(len(body.elements))
         self.layers = Layers(body, GRAVITY) if body.layers and body.dim == 2 else None
         self.soft = {}  # by hand, stiffness [N/m] and damping [N s/m] of a vertex in it
@@ -311,6 +312,10 @@ def _simulate(body, script, physics, per, settle):
 def _elastic(body):
     """The elements of a cloth or a stuffed body."""
     return Continuum(body) if body.cells is None else Hexahedra(body)
+
+
+def _bending(body):
+    return Plates(body) if body.resolved else Creases(body)
 
 
 def _table(height, rise_x, rise_y):

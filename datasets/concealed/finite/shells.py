@@ -17,7 +17,8 @@ class Creases:
     """
 
     def __init__(self, body):
-        self.sides, self.nodes = _edges(body.elements)
+        self.sides, self.edges = _edges(body.elements)
+        self.nodes = self.edges
         x = body.vertices
         length = np.linalg.norm(x[self.nodes[:, 1]] - x[self.nodes[:, 0]], axis=1)
         area = body.measure[self.sides].sum(axis=1)
@@ -44,7 +45,7 @@ class Creases:
 
     def angle(self, x):
         """(K,) angles [rad] between the two sides, 0 where flat, and (K, 4, 3) their derivatives by the corners [1/m]."""
-        a, b, c, d = np.moveaxis(x[self.nodes], 1, 0)
+        a, b, c, d = np.moveaxis(x[self.edges], 1, 0)
         edge = b - a
         length = np.linalg.norm(edge, axis=1, keepdims=True)
         along = edge / length
