@@ -10,15 +10,14 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..diagnosis.config import DiagnosisConfig
-from ..diagnosis.inference import infer
-from ..diagnosis.inference.phases import Answer
+from ..diagnosis.inference.phases import Answer, Evidence, gathered, weighed
 from ..diagnosis.inference.significance import conformal
 from ..methods.continuum import Continuum
 from ..methods.continuum.config import Config
@@ -61,14 +60,30 @@ def fitted(recording: Scenario, kept: Path | None, cells: float, seed: int) -> C
     return twin
 
 
+def arrays(evidence: Evidence) -> dict[str, np.ndarray]:
+    """What a decision rests on, by which it can be weighed again without a roll-out; ``ways`` names each column of ``columns``."""
+    e, layout = evidence, evidence.scatter.layout
+    found = {name: getattr(e, name) for name in ("reference", "slopes", "residual", "noisy", "posterior")}
+    found |= dict(left=e.scatter.left, noise=e.scatter.noise, data=e.forward.data)
+    found |= {f"layout_{f.name}": getattr(layout, f.name) for f in fields(layout)}
+    found["columns"] = np.concatenate([s.columns for s in e.catalogue], 1)
+    found["ways"] = np.array([s.candidate.words for s in e.catalogue for _ in s.unit])
+    return found | {name: np.concatenate([getattr(s, name) for s in e.catalogue]) for name in ("unit", "spread")}
+
+
 def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | None = None, seed: int = 0, progress=None) -> dict:
-    """The answer on one case and its score."""
+    """The answer on one case and its score. ``keep``: a folder for the twin, and for the arrays of its evidence."""
     root = Path(folder)
     begun = time.time(), time.process_time()
     recording = open_scenario(str(root / case / "fit"))
-    twin = fitted(recording, keep and Path(keep) / root.name / case / "twin", config.cells, seed)
+    kept = Path(keep) / root.name / case if keep else None
+    twin = fitted(recording, kept and kept / "twin", config.cells, seed)
     spent = time.process_time() - begun[1]
-    answer = infer(twin, [recording], config, seed=seed, progress=progress)
+    evidence = gathered(twin, [recording], config, seed=seed, progress=progress)
+    if kept:
+        kept.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(kept / "evidence.npz", **arrays(evidence))
+    answer = weighed(evidence, config, progress=progress)
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     took = dict(fit_cpu=spent, cpu=time.process_time() - begun[1], wall=time.time() - begun[0], runs=answer.runs, run_cpu=answer.seconds)
     return dict(set=root.name, case=case) | scored(answer, label) | took
@@ -123,7 +138,7 @@ def main(arguments=None) -> None:
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--members", type=int, default=DiagnosisConfig.members)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", help="folder in which fitted twins are kept, and looked for")
+    parser.add_argument("--keep", help="folder in which fitted twins are kept, and looked for; with the arrays of their evidence")
     parser.add_argument("--out", help="CSV of all rows; cases that are in it are not diagnosed again")
     given = parser.parse_args(arguments)
     labels = json.loads((Path(given.set) / "labels.json").read_text(encoding="utf-8"))

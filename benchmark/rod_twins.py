@@ -47,7 +47,7 @@ def rows_of(path: Path, *, split: str, preset: str, seed: int) -> list[dict]:
     rows = []
     for pair in collection.pairs:
         scenario = collection.load(pair.target)
-        moving, still = twin.retarget(scenario.observed(2)), twin.retarget(scenario.observed(1))
+        moving, still = twin.retarget(scenario.initial()), twin.retarget(scenario.observed(1))
         errors = (*coordinate_errors(moving, scenario), *coordinate_errors(still, scenario))
         named = dict(zip(("all_mm", "free_mm", "still_all_mm", "still_free_mm"), (round(e, 3) for e in errors), strict=True))
         rows.append(dict(cable=collection.name, seed=seed, recording=pair.target) | named | spent | dict(values=json.dumps(twin.values)))

@@ -17,6 +17,7 @@ import numpy as np
 
 from ..methods.base import Budget, Diverged
 from ..methods.registry import methods
+from .ablations import ABLATIONS
 from .opening import open_scenario
 
 __all__ = ["errors", "main", "summary"]
@@ -58,7 +59,7 @@ def case_rows(folder: str, case: str, method: str, preset: str, seed: int, keep:
             ]
         return found
 
-    made, kept = methods()[method](), keep and Path(keep) / root.name / case / method
+    made, kept = compared()[method](), keep and Path(keep) / root.name / case / method
     if kept and kept.exists():
         twin = made.twin_class.load(kept)
     else:
@@ -70,6 +71,11 @@ def case_rows(folder: str, case: str, method: str, preset: str, seed: int, keep:
     rows += score(twin, home, truth["fit_points"], [("fitted", 0, end), ("held-out", end, len(home.points))])
     rows += score(twin.retarget(away.initial()), away, truth["transfer_points"], [("transfer", 0, len(away.points))])
     return [row | spent | dict(values=json.dumps(getattr(twin, "values", {}))) for row in rows]
+
+
+def compared(names=tuple(ABLATIONS)) -> dict:
+    """Methods, and what ablations of these names compare, by the name of their rows."""
+    return methods() | {name: made for ablation in names for name, made in ABLATIONS[ablation].methods().items()}
 
 
 def _mean(off):
@@ -101,6 +107,7 @@ def main(arguments=None) -> None:
     parser.add_argument("sets", nargs="+", help="folders of cases with labels.json and truth/")
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--methods", nargs="+", default=["continuum"])
+    parser.add_argument("--ablations", nargs="+", default=[], choices=sorted(ABLATIONS), help="and what these compare")
     parser.add_argument("--preset", default="quick", choices=["quick", "full"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
@@ -108,7 +115,8 @@ def main(arguments=None) -> None:
     parser.add_argument("--keep", help="folder in which twins are kept, and looked for")
     given = parser.parse_args(arguments)
     known = {s: sorted(json.loads((Path(s) / "labels.json").read_text(encoding="utf-8"))) for s in given.sets}
-    jobs = [(s, case, m) for s in given.sets for case in given.cases or known[s] for m in given.methods]
+    asked = dict.fromkeys([*given.methods, *(name for one in given.ablations for name in ABLATIONS[one].methods())])
+    jobs = [(s, case, m) for s in given.sets for case in given.cases or known[s] for m in asked]
     rows = []
     with ProcessPoolExecutor(given.jobs) as pool:
         waiting = {pool.submit(case_rows, s, case, m, given.preset, given.seed, given.keep): (s, case, m) for s, case, m in jobs}

@@ -12,15 +12,18 @@ import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..datasets.temporary import replacing
+from .asking import ask
+from .config import DiagnosisConfig
 from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .locate import clusters
+from .outcome import Outcome
 from .page.document import plain
 from .planner import experiment
 from .report import write_report
 from .verdict import NONE, Calibration, Decision, alike, calibration, context, decide, readings
 
-__all__ = ["NAMES", "Diagnosis", "affordable", "diagnose", "noise_floor"]
+__all__ = ["NAMES", "TWINS", "Diagnosis", "affordable", "diagnose", "noise_floor"]
 
 NAMES = (
     *("quadratic_drag", "plate_drag", "wind", "gravity_tilt", "strain_stiffening", "compression_softening", "anisotropy", "bending"),
@@ -28,6 +31,8 @@ NAMES = (
     *("ground_adhesion", "hidden_obstacle", "ground_pose", "self_contact", "hidden_tether", "grip_slip", "grip_compliance", "tearing"),
     *("rest_shape", "controller_delay", "camera_pose", "track_drift", "grip_points"),
 )
+TWINS = ("springs", "continuum")
+MEMBERS = {"quick": DiagnosisConfig(members=12), "full": DiagnosisConfig()}
 LONG = 90  # frames: longer recordings get coarser replicas
 STUFFED = 0.6  # of the nodes are enough for a body with an inside: it fits as well with these, in less than half the time
 FEWEST = 60  # nodes
@@ -61,25 +66,41 @@ class Diagnosis:
 
 
 def diagnose(
-    scenario: Scenario,
+    scenario: Scenario | Sequence[Scenario],
     *,
+    twin: str = "springs",
     transfer: Sequence[Scenario] = (),
     fitted_on: Sequence[Scenario] = (),
+    against: Sequence[Scenario] = (),
     preset: str = "quick",
     device: str = "cpu",
     weights: Calibration | None = None,
     progress: Callable[[str], None] = lambda said: None,
-) -> Diagnosis:
-    """Diagnose ``scenario``: which physics a spring-mass twin of its object lacks, where, since when, and how much it matters.
+) -> Diagnosis | Outcome:
+    """Diagnose ``scenario``: which physics a twin of its object lacks, where, since when, and how much it matters.
 
-    The twin is fitted on the scenario's training frames, or where ``fitted_on`` names other recordings of the object on all of theirs; it
-    is then taken as adequate for them, and what this recording adds is what is asked. Held-out frames and ``transfer`` recordings are
-    simulated and never fitted. ``preset`` is quick or full, ``weights`` another calibration of the decision than the one that ships.
-    Raises ValueError for an unknown preset or a recording that is too short.
+    ``twin`` is what is questioned: "continuum" is fitted to the train frames of all of ``scenario``, one recording or several of one
+    object and all frames of ``fitted_on``, in which nothing is missing, and its own error is told by other sound twins (``asking.ask``);
+    "springs" is a net of springs. That one is fitted on the scenario's training frames, or where ``fitted_on`` names other recordings of
+    the object on all of theirs; it is then taken as adequate for them, and what this recording adds is what is asked. Held-out frames and
+    ``transfer`` recordings are simulated and never fitted. ``against``, for a continuum: sound recordings of the same command.
+    ``preset`` is quick or full, ``weights`` another calibration of the decision on springs than the one that ships.
+    Raises ValueError for an unknown twin or preset, what the twin has no use for, or a recording that is too short.
     """
     begun = time.time()
+    recordings = [scenario] if isinstance(scenario, Scenario) else list(scenario)
+    if twin not in TWINS:
+        raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
     if preset not in PRESETS:
         raise ValueError(f"unknown preset {preset!r}; known: {', '.join(PRESETS)}")
+    if twin == "continuum":
+        options = dict(transfer=transfer, fitted_on=fitted_on, against=against, config=MEMBERS[preset])
+        return ask(recordings, **options, device=device, progress=progress)
+    if against:
+        raise ValueError("recordings are compared with sound ones by twin 'continuum' alone")
+    if len(recordings) != 1:
+        raise ValueError(f"twin 'springs' is asked about one recording, got {len(recordings)}; twin 'continuum' takes several")
+    scenario = recordings[0]
     inquiry = inquire(
         scenario,
         transfer,

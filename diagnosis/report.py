@@ -11,6 +11,7 @@ import numpy as np
 from ..datasets.temporary import replacing
 from .page import tables
 from .page.arrays import thin, view
+from .page.budget import budget
 from .page.document import asset, embedded, plain, policy, script
 from .page.words import VERDICTS, headline, improvement
 
@@ -59,6 +60,7 @@ def _page(result: dict, evidence: dict[str, np.ndarray]) -> str:
         "headline": escape(headline(result)),
         "improvement": escape(improvement(result)),
         "facts": tables.facts(result),
+        "budget": budget(result),
         "clusters": tables.clusters(result),
         "hypotheses": tables.hypotheses(result),
         "fit": tables.fit(result),

@@ -69,6 +69,19 @@ class Twin(ABC):
     def rollout(self, controllers: np.ndarray) -> Trajectory:
         """Simulate from frame 0 while the controllers follow ``controllers`` (T, C, 3) metres. Raises Diverged."""
 
+    def rollouts(self, controllers: np.ndarray) -> list[Trajectory | Diverged]:
+        """A roll-out for each of ``controllers`` (B, T, C, 3) metres, or the ``Diverged`` that it raised.
+
+        A twin that can step them together does so in a method of its own, to the same numbers.
+        """
+        found: list[Trajectory | Diverged] = []
+        for path in controllers:
+            try:
+                found.append(self.rollout(path))
+            except Diverged as error:
+                found.append(error)
+        return found
+
     @abstractmethod
     def retarget(self, target: Observed) -> Twin:
         """The same object placed in frame 0 of another recording.

@@ -22,7 +22,8 @@ from twinbench.metrics.base import metrics
 PACKAGE = Path(twinbench.__file__).resolve().parent
 ROOMS = ("datasets", "metrics", "physics", "methods", "diagnosis")
 OURS = sorted(name for name, found in methods().items() if modules_of(found)[0].startswith("twinbench."))
-ENGINE = {"phystwin", "phystwin-zero", "phystwin-first", "phystwin-as-published", "phystwin+diagnosed"}
+DIAGNOSED = {"phystwin+diagnosed", "continuum+diagnosed"}
+ENGINE = {"phystwin", "phystwin-zero", "phystwin-first", "phystwin-as-published", *DIAGNOSED}
 
 
 def made(sources):
@@ -75,8 +76,8 @@ def edited(copy, file, change):
             ENGINE | {"continuum"},
         ),  # imported in a function of kernels.py; GS-Dynamics and Spring-Gaus have engines of their own
         ("physics/resident.cu", ENGINE | {"continuum"}),
-        ("diagnosis/calibration.json", {"phystwin+diagnosed"}),
-        ("physics/terms/braces.py", {"phystwin+diagnosed"}),  # a term that a twin is not made of; a diagnosis tries all
+        ("diagnosis/calibration.json", DIAGNOSED),
+        ("physics/terms/braces.py", DIAGNOSED),  # a term that a twin is not made of; a diagnosis tries all
         ("methods/registry.py", set()),
         ("methods/variants.py", set()),
         ("methods/appearance/render.py", set()),

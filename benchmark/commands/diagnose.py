@@ -17,17 +17,21 @@ __all__ = ["Diagnose"]
 
 @dataclass(frozen=True)
 class Diagnose:
-    """Say which physics a recording shows and a spring-mass twin lacks: where, since when, how much it matters; or that nothing is missing.
+    """Say which physics recordings show and a twin lacks: where, since when, how much it matters; or that nothing is missing.
 
     A recording is a folder in a known layout (see twinbench list), with /NAME behind it where the folder holds several.
     """
 
-    case: Annotated[Positional[str], arg(metavar="CASE")]
-    """The recording. Its held-out frames are never fitted."""
+    cases: Annotated[Positional[tuple[str, ...]], arg(metavar="CASE [CASE ...]")]
+    """The recording, or several of one object that are fitted jointly. Their held-out frames are never fitted."""
     transfer: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
     """Other interactions with the same object. They are never fitted."""
     fitted_on: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
     """Recordings that the twin is fitted on and taken as adequate for. Default: the training frames of CASE."""
+    against: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
+    """Sound recordings of the same command as CASE: how far it differs from them is asked (--twin continuum)."""
+    twin: str = "springs"
+    """Which twin is questioned: springs, a coarse net as PhysTwin's, or continuum, with sound twins beside it as a measure."""
     preset: str = "quick"
     """How much work: quick or full."""
     device: str = "cpu"
@@ -38,21 +42,24 @@ class Diagnose:
     """Folder for diagnosis.json and report.html."""
 
     def __call__(self) -> int:
-        from ...diagnosis.diagnose import diagnose
+        from ...diagnosis.diagnose import TWINS, diagnose
         from ...diagnosis.page.words import headline, improvement
         from ..opening import open_scenario
 
+        known("twin", [self.twin], TWINS)
         known("preset", [self.preset], PRESETS)
         known("device", [self.device], DEVICES)
-        case = open_scenario(self.case)
-        transfer, fitted_on = ([open_scenario(path) for path in paths] for paths in (self.transfer, self.fitted_on))
+        cases = [open_scenario(path) for path in self.cases]
+        groups = dict(transfer=self.transfer, fitted_on=self.fitted_on, against=self.against)
+        others = {name: [open_scenario(path) for path in paths] for name, paths in groups.items()}
         folder = writable(self.out)
 
         def say(said: str) -> None:
             if not self.quiet:
                 print(f"{shown(said)} ...", file=sys.stderr, flush=True)
 
-        found = diagnose(case, transfer=transfer, fitted_on=fitted_on, preset=self.preset, device=self.device, progress=say)
+        told = dict(twin=self.twin, **others, preset=self.preset, device=self.device)
+        found = diagnose(cases[0] if len(cases) == 1 else cases, **told, progress=say)
         found.write(folder)
         for line in filter(None, (headline(found.result), improvement(found.result), found.result["experiment"])):
             print(shown(line))

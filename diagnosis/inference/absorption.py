@@ -6,36 +6,50 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...methods.continuum.predictability import absorbed
-
 __all__ = ["absorb"]
 
 Run = Callable[[np.ndarray], np.ndarray]
+SHORTER = 0.3  # times the step that led to something worse
 
 
 def absorb(runs, reference, slopes, sd, run: Run, bounds, *, rounds: int) -> tuple[np.ndarray, np.ndarray]:
-    """(left (K, B) m, shifts (K, n)) of ``runs`` (K, B) m against a ``reference`` (B,) m.
+    """(left (K, B) m, shifts (K, n)) of ``runs`` (K, B) m against a ``reference`` (B,) m: what is left is against real runs of it.
 
     slopes  (B, n) m for one prior standard deviation of each parameter, whose prior precision is then 1
-    sd      (B,) m, noise of the block means, infinite where they are not fitted; what earlier rounds left is added to it, as a fit would
-            hear such data less: of all runs, so that what was measured is one among sound twins if it is sound
+    sd      (B,) m, noise of the block means, infinite where they are not fitted; what is left so far is added to it, as a fit would hear
+            such data less: of all runs, so that what was measured is one among sound twins if it is sound
     run     shifts (K, n) in prior standard deviations -> (K, B) m, the reference run there, NaN of what diverged
     bounds  ((n,), (n,)) least and largest shifts
 
-    A round is one Gauss-Newton step with the shared slopes; before each but the first, the reference is run where the last one led. The
-    last step is left linear. Where such a run diverges, the linear prediction stands for it.
+    A round is one Gauss-Newton step of each, after which the reference is run; a step that is no better is not taken, and the next is
+    shorter. Slopes start as the shared ones, and each run's own are corrected by what its steps missed (Broyden 1965).
     """
     runs = np.asarray(runs, float)
-    base, at = np.tile(reference, (len(runs), 1)), np.zeros((len(runs), slopes.shape[1]))
-    heard = np.asarray(sd, float)
-    for k in range(rounds):
-        if k:
-            there = run(at)
-            good = np.isfinite(there).all(1, keepdims=True)
-            base = np.where(good, there, reference + at @ slopes.T)
-        found, _ = absorbed(runs - base + at @ slopes.T, slopes, heard, 1.0)  # the step to ``found`` from nothing, by its prior
-        found = np.clip(found, *bounds)
-        left = runs - base - (found - at) @ slopes.T
-        at = found
-        heard = np.hypot(sd, np.sqrt(np.mean(left**2, 0)))
-    return left, at
+    count, size = len(runs), slopes.shape[1]
+    base, at = np.tile(np.asarray(reference, float), (count, 1)), np.zeros((count, size))
+    ways, reach = np.tile(slopes, (count, 1, 1)), np.ones(count)
+    for _ in range(rounds):
+        heard = np.hypot(sd, np.sqrt(np.mean((runs - base) ** 2, 0)))
+        trial = np.array(
+            [np.clip(a + r * _step(x - b, w, heard, a), *bounds) for a, r, x, b, w in zip(at, reach, runs, base, ways, strict=True)]
+        )
+        there = run(trial)
+        better = _cost(runs - there, heard, trial) < _cost(runs - base, heard, at)
+        for k in np.flatnonzero(better):
+            way = trial[k] - at[k]
+            ways[k] += np.outer(there[k] - base[k] - ways[k] @ way, way / (way @ way))
+        base, at = np.where(better[:, None], there, base), np.where(better[:, None], trial, at)
+        reach = np.where(better, 1.0, SHORTER * reach)
+    return runs - base, at
+
+
+def _step(left, slopes, heard, at):
+    """(n,) from ``at`` to the likeliest shifts, by slopes and the prior around nothing."""
+    ways = slopes / heard[:, None]
+    return np.linalg.solve(ways.T @ ways + np.eye(len(at)), ways.T @ (left / heard) - at)
+
+
+def _cost(left, heard, at):
+    """(K,) twice the negative log posterior; infinite of what diverged."""
+    found = np.sum((left / heard) ** 2, 1) + np.sum(at**2, 1)
+    return np.where(np.isfinite(found), found, np.inf)

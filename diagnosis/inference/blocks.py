@@ -32,6 +32,7 @@ class Blocks:
     points  (T, N, 3) m, and ``weights`` (cells, T x N) sparse, rows summing to 1: the mean of what was seen
     label   (N,) the region of each track, ``bins`` (T,) the bin of each frame
     fitted  (cells,) whether a cell's frames were fitted; ``place`` (cells, 3) m and ``time`` (cells,) s of its middle
+    cells   (cells,) which of all bins x regions they are: bin times ``count``, of regions, plus region
     """
 
     points: np.ndarray
@@ -43,10 +44,14 @@ class Blocks:
     place: np.ndarray
     time: np.ndarray
     fitted: np.ndarray
+    count: int
 
     @classmethod
-    def of(cls, recording: Scenario, config: DiagnosisConfig) -> Blocks:
-        """Of fitted frames and of those held out, in bins of their own. Raises NoTracks for clouds, and where no cell has enough tracks."""
+    def of(cls, recording: Scenario, config: DiagnosisConfig, regions: np.ndarray | None = None) -> Blocks:
+        """Of fitted frames and of those held out, in bins of their own; ``regions`` (R, 3) m: another recording's, where they are shared.
+
+        Raises NoTracks for clouds, and where no cell has enough tracks.
+        """
         from scipy.sparse import csr_matrix
 
         if not recording.correspond:
@@ -54,10 +59,11 @@ class Blocks:
         points, seen = np.nan_to_num(recording.points), recording.visible.copy()
         seen[:, recording.grips[recording.grips >= 0]] = False  # driven markers are told, not predicted
         frames = len(seen)
-        label = regions_of(points[0], config.regions)
+        label = regions_of(points[0], config.regions) if regions is None else nearest_of(points[0], regions)
+        count = label.max() + 1 if regions is None else len(regions)
         bins = _bins(frames, recording.split.train_end, config)
-        cell = (bins[:, None] * (label.max() + 1) + label).ravel()
-        tracks = np.array([[seen[bins == b][:, label == r].any(0).sum() for r in range(label.max() + 1)] for b in range(bins.max() + 1)])
+        cell = (bins[:, None] * count + label).ravel()
+        tracks = np.array([[seen[bins == b][:, label == r].any(0).sum() for r in range(count)] for b in range(bins.max() + 1)])
         kept = np.flatnonzero(tracks.ravel() >= config.fewest)
         if not len(kept):
             raise NoTracks(f"no region has {config.fewest} tracks within a bin (scenario {recording.name})")
@@ -66,11 +72,11 @@ class Blocks:
         used = np.flatnonzero(seen.ravel() & (row[cell] >= 0))
         number = np.bincount(row[cell[used]], minlength=len(kept))
         weights = csr_matrix((1 / number[row[cell[used]]], (row[cell[used]], used)), (len(kept), seen.size))
-        region, when = kept % (label.max() + 1), kept // (label.max() + 1)
-        middle = np.array([points[0, label == r].mean(0) for r in range(label.max() + 1)])
+        region, when = kept % count, kept // count
+        middle = regions if regions is not None else np.array([points[0, label == r].mean(0) for r in range(count)])
         time = np.array([np.flatnonzero(bins == b).mean() for b in range(bins.max() + 1)]) / recording.fps
         fitted = time[when] * recording.fps < recording.split.train_end
-        return cls(points, seen, weights, label, bins, kept, middle[region], time[when], fitted)
+        return cls(points, seen, weights, label, bins, kept, middle[region], time[when], fitted, count)
 
     @property
     def regions(self) -> np.ndarray:
@@ -101,7 +107,7 @@ class Blocks:
         """
         off = np.where(self.seen[..., None], self.points - path[:, : self.points.shape[1]], np.nan)
         found = np.zeros((off.shape[1], len(self.cells), 3))
-        regions = self.label.max() + 1
+        regions = self.count
         for k, cell in enumerate(self.cells):
             own = self.label == cell % regions
             frames = self.bins == cell // regions
@@ -126,6 +132,13 @@ class Blocks:
         keep = 1 - size / (size + len(strays) / max(1, len(np.unique(self.label))))
         least = LEAST_NOISE**2 / np.maximum(np.repeat(np.bincount(self.weights.tocoo().row), 3), 1)
         return keep * full + np.diag((1 - keep) * np.diag(full) + np.maximum(0.0, least - np.diag(full)))
+
+
+def nearest_of(points, regions) -> np.ndarray:
+    """(N,) which of ``regions`` (R, 3) m each of ``points`` (N, 3) m is nearest to."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(regions).query(points)[1]
 
 
 def _bins(frames: int, train_end: int, config: DiagnosisConfig) -> np.ndarray:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ...datasets.scenario import Scenario
 from ...methods.continuum.config import Config
@@ -17,7 +18,10 @@ from ...methods.continuum.twin import ContinuumTwin
 from ...methods.continuum.unknowns import Unknown
 from ...physics.terms.base import Term
 from ..config import DiagnosisConfig
+from ..effects import Candidate
 from .blocks import Blocks
+from .contrast import Contrast
+from .covariance import Layout
 
 __all__ = ["Cost", "Forward"]
 
@@ -37,6 +41,9 @@ class Forward:
     unknowns    n, as a fit of the twin had them (``rec<r>_...`` are one recording's own)
     scaled      (n,) where the fit ended, in their scaled space, and their ``covariance`` (n, n) there
     simulators  R, ``blocks`` R, each of all frames of its recording
+    sound       which of the R recordings are known to lack nothing: effects act in the others alone
+    acting      names of the values of effects, which sound recordings are not given
+    contrast    how far recordings differ is asked, not what they are; or None
     """
 
     unknowns: tuple[Unknown, ...]
@@ -46,13 +53,25 @@ class Forward:
     recordings: tuple[Scenario, ...]
     simulators: tuple[Simulator, ...]
     blocks: tuple[Blocks, ...]
+    sound: frozenset[int] = frozenset()
+    acting: frozenset[str] = frozenset()
+    contrast: Contrast | None = None
     cost: Cost = field(default_factory=Cost)
 
     @classmethod
-    def of(cls, twin: ContinuumTwin, recordings: Sequence[Scenario], config: DiagnosisConfig) -> Forward:
+    def of(
+        cls,
+        twin: ContinuumTwin,
+        recordings: Sequence[Scenario],
+        config: DiagnosisConfig,
+        sound: Iterable[int] = (),
+        *,
+        against: bool = False,
+    ) -> Forward:
         """Of a twin that was fitted to the train frames of ``recordings``; of these frames alone are bodies and hands told.
 
-        Raises ValueError for a twin that keeps no posterior.
+        against: the first is asked beside the others, which are sound and of the same command. Raises ValueError for a twin that keeps no
+        posterior.
         """
         if not twin.posterior:
             raise ValueError(f"a twin must keep the posterior of its fit, got none (scenario {twin.scene.name})")
@@ -62,6 +81,8 @@ class Forward:
         for one in recordings[1:]:
             seen = one.observed()
             scenes.append(placed(seen, twin.scene.body.laid(seen), made))
+        shared = Blocks.of(recordings[0], config).regions if against else None
+        blocks = tuple(Blocks.of(one, config, shared) for one in recordings)
         return cls(
             unknowns,
             np.array(twin.posterior["scaled"]),
@@ -71,13 +92,40 @@ class Forward:
             tuple(
                 Simulator(_coarser(s, r.observed(), config.cells), twin.extra, twin.device) for s, r in zip(scenes, recordings, strict=True)
             ),
-            tuple(Blocks.of(one, config) for one in recordings),
+            blocks,
+            frozenset(sound),
+            contrast=Contrast.of(blocks) if against else None,
         )
+
+    def mixed(self, values) -> np.ndarray:
+        """(..., B) of values (..., A) of the block means of all recordings: these, or how far they differ."""
+        return values if self.contrast is None else values @ self.contrast.matrix.T
 
     @property
     def data(self) -> np.ndarray:
         """(B,) m."""
-        return np.concatenate([b.data for b in self.blocks])
+        return self.mixed(np.concatenate([b.data for b in self.blocks]))
+
+    @property
+    def layout(self) -> Layout:
+        """What each of the B values is."""
+        parts = [b.layout(r) for r, b in enumerate(self.blocks)]
+        whole = Layout(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Layout)))
+        return whole if self.contrast is None else whole[self.contrast.rows]
+
+    def noise(self, paths: Sequence[np.ndarray]) -> tuple[np.ndarray, Callable[[np.random.Generator], np.ndarray]]:
+        """((B, B) m^2, a draw (B,) m of it), told by what tracks stray from regions' fields around ``paths``, R of (T, M, 3) m."""
+        strays = [b.strays(p) for b, p in zip(self.blocks, paths, strict=True)]
+        whole = block_diag(*(b.noise(s) for b, s in zip(self.blocks, strays, strict=True)))
+
+        def draw(random: np.random.Generator) -> np.ndarray:
+            return self.mixed(np.concatenate([random.choice([-1.0, 1.0], len(s)) @ s for s in strays]))
+
+        if self.contrast is None:
+            return whole, draw
+        matrix = self.contrast.matrix
+        off = np.concatenate([b.data - b.means(p[None])[0] for b, p in zip(self.blocks, paths, strict=True)])
+        return matrix @ whole @ matrix.T + np.diag(self.contrast.repeats(off, np.diag(whole))), draw
 
     @property
     def sds(self) -> np.ndarray:
@@ -98,14 +146,16 @@ class Forward:
         """For each recording (K, T, M, 3) m, of dicts of values beside the twin's own; NaN from where one diverged."""
         begun, found = time.process_time(), []
         for r, (runner, blocks) in enumerate(zip(self.simulators, self.blocks, strict=True)):
-            found.append(runner.run([own_values({**self.told, **row}, r) for row in rows], len(blocks.points)))
+            hushed = self.acting if r in self.sound else ()
+            values = [{name: v for name, v in row.items() if name not in hushed} for row in rows]
+            found.append(runner.run([own_values({**self.told, **row}, r) for row in values], len(blocks.points)))
         self.cost.runs += len(rows) * len(self.simulators)
         self.cost.seconds += time.process_time() - begun
         return found
 
     def rows(self, rows: Sequence[Mapping[str, float]]) -> np.ndarray:
         """(K, B) m, block means; all NaN of a run that diverged."""
-        return np.concatenate([b.means(p) for b, p in zip(self.blocks, self.paths(rows), strict=True)], 1)
+        return self.mixed(np.concatenate([b.means(p) for b, p in zip(self.blocks, self.paths(rows), strict=True)], 1))
 
     def at(self, shifts, more: Mapping[str, float] | None = None) -> np.ndarray:
         """(K, B) m, at ``shifts`` (K, n), with ``more`` values."""
@@ -119,10 +169,21 @@ class Forward:
         shifts = np.diag(np.clip(signs * steps, low, high))
         return np.nan_to_num((self.at(shifts) - reference).T / np.diag(shifts))
 
-    def with_terms(self, terms: Sequence[Term]) -> Forward:
-        """The same twins with further laws."""
-        made = [replace(s, extra=(*s.extra, *(_told(t, s.scene) for t in terms))) for s in self.simulators]
-        return replace(self, simulators=tuple(made))
+    @property
+    def asked(self) -> list[int]:
+        """The recordings in which effects may act."""
+        return [r for r in range(len(self.simulators)) if r not in self.sound]
+
+    def with_effects(self, candidates: Iterable[Candidate]) -> Forward:
+        """The same twins with the laws of ``candidates``, in the recordings that are not known to be sound."""
+        candidates = list(candidates)
+        laws = {c.effect.term: c.effect.term() for c in candidates if c.effect.term}
+        acting = {name for c in candidates for name in c.values([a.first for a in c.effect.amounts])}
+        made = list(self.simulators)
+        for r in self.asked:
+            one = made[r]
+            made[r] = replace(one, extra=(*one.extra, *(_told(law, one.scene) for law in laws.values())))
+        return replace(self, simulators=tuple(made), acting=self.acting | acting)
 
     def with_scenes(self, scenes, finer: int = 1) -> Forward:
         """Other scenes of the same recordings, in steps ``finer`` times as many."""

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...datasets.scenario import Scenario
 from ...methods.continuum.twin import ContinuumTwin
 from ..config import DiagnosisConfig
+from ..effects import Candidate
 from .absorption import absorb
 from .budget import Budget, Detectable, budget, detectable
-from .covariance import Layout, Prior, Scatter, chosen
+from .covariance import Prior, Scatter, chosen
 from .forward import Forward
 from .members import drawn, ran
 from .refit import Gain, Refit, gained, refitted
@@ -44,6 +45,7 @@ class Evidence:
 class Named:
     """A candidate that was refitted: its ``probability`` among all effects, what it gains on frames that nobody fitted, where it acts."""
 
+    candidate: Candidate
     name: str
     words: str
     probability: float
@@ -94,19 +96,23 @@ def gathered(
     recordings: Sequence[Scenario],
     config: DiagnosisConfig,
     *,
+    sound: Iterable[int] = (),
+    against: bool = False,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Evidence:
-    """All roll-outs but the refits': the reference and its slopes, members, signatures."""
+    """All roll-outs but the refits': the reference and its slopes, members, signatures.
+
+    ``sound`` recordings are known to lack nothing; ``against``: the first is compared with the others, see ``contrast``.
+    """
     tell = progress or (lambda _: None)
-    forward = Forward.of(twin, recordings, config)
+    forward = Forward.of(twin, recordings, config, sound, against=against)
     nowhere = np.zeros(len(forward.unknowns))
-    paths = forward.paths([forward.values(nowhere)])
-    strays = [b.strays(p[0]) for b, p in zip(forward.blocks, paths, strict=True)]
-    reference = np.concatenate([b.means(p)[0] for b, p in zip(forward.blocks, paths, strict=True)])
+    paths = [p[0] for p in forward.paths([forward.values(nowhere)])]
+    reference = forward.mixed(np.concatenate([b.means(p[None])[0] for b, p in zip(forward.blocks, paths, strict=True)]))
     if not np.isfinite(reference).all():
         raise ValueError(f"the twin must not diverge in its own recordings (scenario {recordings[0].name})")
-    noise = _blockwise([b.noise(s) for b, s in zip(forward.blocks, strays, strict=True)])
+    noise, draw = forward.noise(paths)
     slopes = forward.slopes(reference)
     tell(f"slopes of {slopes.shape[1]} unknowns for {len(reference)} block means")
     runs = np.array([ran(m, forward, config) for m in drawn(forward, config, seed)])
@@ -114,9 +120,8 @@ def gathered(
     if len(runs) < 4:
         raise ValueError(f"at least 4 members must not diverge, got {len(runs)} of {config.members} (scenario {recordings[0].name})")
     tell(f"{len(runs)} sound twins")
-    layout = _joined([b.layout(r) for r, b in enumerate(forward.blocks)])
-    random = np.random.default_rng(seed)
-    draws = np.concatenate([random.choice([-1.0, 1.0], (len(runs), len(s))) @ s for s in strays], 1)
+    layout, random = forward.layout, np.random.default_rng(seed)
+    draws = np.array([draw(random) for _ in runs])
     sd = np.where(layout.fitted, np.sqrt(np.diag(noise)), np.inf)
     both = np.concatenate([runs, forward.data[None]])
     left, _ = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
@@ -130,7 +135,10 @@ def gathered(
 def weighed(
     evidence: Evidence, config: DiagnosisConfig, *, inflation: float = 1.0, progress: Callable[[str], None] | None = None
 ) -> Answer:
-    """The test, names, detectable sizes and the budget of what ``gathered`` returns; the best candidates are refitted, which costs runs."""
+    """The test, names, detectable sizes and the budget of what ``gathered`` returns.
+
+    Where the test alarms, the best candidates are refitted, which costs as many runs as all before.
+    """
     tell = progress or (lambda _: None)
     e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
     prior = chosen(scatter, config, e.noisy)
@@ -140,11 +148,12 @@ def weighed(
     fitting = scatter.only(rows).likelihood(prior, inflation=inflation, parameters=False)
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
-    best = [(e.catalogue[k], refitted(*common, e.catalogue[k], config)) for k in _best(test, e.catalogue, config.refitted)]
+    alarm = test.p < config.level
+    best = [(e.catalogue[k], refitted(*common, e.catalogue[k], config)) for k in _best(test, e.catalogue, config.refitted) if alarm]
     tell(f"{len(best)} candidates refitted")
     chances = _chances(test, e.catalogue, {id(s): r.log_evidence - sound.log_evidence for s, r in best})
     named = sorted((_named(e, s, r, sound, chances) for s, r in best), key=lambda n: -n.log_evidence)
-    verdict = "adequate" if test.p >= config.level else "named" if named and _confirmed(named[0]) else "unknown"
+    verdict = "adequate" if not alarm else "named" if named and _confirmed(named[0]) else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
     return Answer(
@@ -192,7 +201,7 @@ def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chance
     amounts, sds = (dict(zip(names, map(float, values), strict=True)) for values in (refit.amounts, refit.sd))
     place = None if candidate.place is None else tuple(candidate.place.tolist())
     evidence = refit.log_evidence - sound.log_evidence
-    return Named(signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, refit)
+    return Named(candidate, signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, refit)
 
 
 def _confirmed(first: Named) -> bool:
@@ -211,13 +220,3 @@ def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisCo
             least = np.cos(subspace_angles(own, likelihood.whitened(fitted_rows(one, rows).columns)))[0]
             found += [one.name] * bool(least > config.parallel)
     return tuple(dict.fromkeys(found))
-
-
-def _blockwise(parts) -> np.ndarray:
-    from scipy.linalg import block_diag
-
-    return block_diag(*parts)
-
-
-def _joined(parts: Sequence[Layout]) -> Layout:
-    return Layout(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Layout)))

@@ -14,7 +14,9 @@ from .scan import Signature
 
 __all__ = ["Gain", "Refit", "gained", "refitted"]
 
-TRIALS = (1.0, 0.4)  # of a Gauss-Newton step, side by side
+TRIALS = (1.0, 0.4, 0.1)  # of a Gauss-Newton step, side by side
+DIFFERENCE = 0.05  # prior standard deviations
+ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
 
 
 @dataclass(frozen=True)
@@ -52,13 +54,13 @@ def refitted(
     """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
 
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
-    are the shared ones, corrected after each step by what it missed (Broyden 1965).
+    are the shared ones at first, corrected after each step by what it missed (Broyden 1965), and measured again after every
+    ``config.refresh`` steps: an effect that moves a body by centimetres leads far from where the sound twin's fit ended.
     """
     count = slopes.shape[1]
     wide = np.zeros(0) if signature is None else signature.unit * signature.spread  # amounts of one prior standard deviation
     jacobian = slopes if signature is None else np.c_[slopes, signature.columns * signature.spread]
-    law = signature and signature.candidate.effect.term
-    twins = forward.with_terms([law()]) if law else forward
+    twins = forward.with_effects([signature.candidate]) if signature else forward
     low, high = forward.bounds
     if signature is not None:
         amounts = signature.candidate.effect.amounts
@@ -74,7 +76,9 @@ def refitted(
         return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
 
     at = place(np.zeros(len(low)), reference)
-    for _ in range(config.steps):
+    for k in range(config.steps):
+        if k and k % config.refresh == 0:
+            jacobian = _slopes(run, at, jacobian, low, high)
         step = _step(at, jacobian, data, likelihood, rows, low, high)
         trials = np.clip(at.numbers + np.outer(TRIALS, step), low, high)
         found = min((place(t, p) for t, p in zip(trials, run(trials), strict=True)), key=lambda f: f.cost)
@@ -82,13 +86,23 @@ def refitted(
         if np.isfinite(found.cost) and way @ way > 0:
             missed = found.prediction - at.prediction - jacobian @ way
             jacobian = jacobian + np.outer(missed, way / (way @ way))
-        if not found.cost < at.cost:
+        gained, at = at.cost - found.cost, found if found.cost < at.cost else at
+        if not gained > ARRIVED and k and k % config.refresh == 0:  # with fresh slopes no step helps any more
             break
-        at = found
     curvature = _curvature(at, jacobian, data, likelihood, rows)
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
     return Refit(at.numbers[:count], at.numbers[count:] * wide, deviations[count:] * wide, at.prediction, float(evidence))
+
+
+def _slopes(run, at: _Place, jacobian, low, high):
+    """(B, n) by differences around a place, of a deviation each over 20; what it was where a run diverged."""
+    steps = np.where(at.numbers + DIFFERENCE <= high, DIFFERENCE, -DIFFERENCE)
+    steps = np.clip(at.numbers + steps, low, high) - at.numbers
+    runs = run(at.numbers + np.diag(steps))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found = ((runs - at.prediction) / steps[:, None]).T
+    return np.where(np.isfinite(found).all(0), found, jacobian)
 
 
 def _one_sided(signature, amounts, deviations) -> float:

@@ -55,20 +55,18 @@ def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Sig
     By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Effects
     that have a place on the body are asked only where all recordings begin with the body in one place, since places are those of frame 0.
     """
-    kind = forward.simulators[0].scene.body.kind
-    grounded = all(s.scene.ground is not None for s in forward.simulators)
-    places = forward.blocks[0].regions
-    alike = all(np.linalg.norm(b.regions.mean(0) - places.mean(0)) < ALIKE for b in forward.blocks)
+    kind, asked_of = forward.simulators[0].scene.body.kind, forward.asked
+    grounded = all(forward.simulators[r].scene.ground is not None for r in asked_of)
+    places = forward.blocks[asked_of[0]].regions
+    alike = all(np.linalg.norm(forward.blocks[r].regions.mean(0) - places.mean(0)) < ALIKE for r in asked_of)
     asked = [e for e in effects(kind) if (grounded or not e.grounded) and (alike or not e.place)]
     groups: dict[str, list] = {}
     for effect in asked:
         groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
     found = []
     for group in groups.values():
-        laws = {e.term: e.term() for e in group if e.term}
-        there = forward.with_terms(list(laws.values()))
         plan = [(c, j) for e in group for c in e.candidates(places) for j in range(len(e.amounts))]
-        columns = _measured(there, reference, plan, config)
+        columns = _measured(forward.with_effects(c for c, _ in plan), reference, plan, config)
         for candidate in dict.fromkeys(id(c) for c, _ in plan):
             own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
             moved = [k for k in own if np.isfinite(columns[k]).all() and _rms(columns[k]) * abs(_most(plan[k])) > SMALLEST]

@@ -22,12 +22,14 @@ __all__ = ["Significance", "conformal", "fitted_rows", "predictive", "significan
 class Significance:
     """p of the recordings being a sound twin's, from ``p_misfit`` and ``p_scan``; the statistics of the recordings and of K members.
 
+    p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
     standardised  (2,) the recordings' statistics in deviations of the members': what is pooled over controls
     """
 
     p: float
     p_misfit: float
     p_scan: float
+    p_held_out: float
     misfit: float
     largest: float
     misfits: tuple[float, ...]
@@ -68,19 +70,28 @@ def significance(
     inflation     of the variance of sound twins' errors, of members as of the recordings' weights: what sound recordings of a kind of body
                   showed beyond their members
     """
-    rows = np.flatnonzero(scatter.layout.fitted)
+    rows, away = np.flatnonzero(scatter.layout.fitted), np.flatnonzero(~scatter.layout.fitted)
+    p_held_out = predictive(*_misfits(scatter.only(away), prior, residual[away], noisy[:, away], inflation))[0] if len(away) else 1.0
     scatter, residual, noisy = scatter.only(rows), residual[rows], noisy[:, rows]
     asked = [fitted_rows(s, rows) for s in catalogue]
     likelihood = scatter.likelihood(prior, inflation=inflation)
     found = scores(likelihood, residual, asked)
     left_out = [scatter.without(k).likelihood(prior) for k in range(len(noisy))]
-    misfits = [one.misfit(row) / len(rows) for one, row in zip(left_out, noisy, strict=True)]
+    misfit, misfits = _misfits(scatter, prior, residual, noisy, inflation)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
-    misfit, largest = likelihood.misfit(residual) / len(rows), _largest(found)
+    largest = _largest(found)
     (p_misfit, far_misfit), (p_scan, far_scan) = predictive(misfit, misfits), predictive(largest, largests)
     p = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
     standardised = far_misfit, far_scan
-    return Significance(p, p_misfit, p_scan, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found))
+    return Significance(p, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found))
+
+
+def _misfits(scatter: Scatter, prior: Prior, residual, noisy, inflation: float) -> tuple[float, list[float]]:
+    """Mean whitened squares of the recordings, and of each member weighed without itself."""
+    left_out = [scatter.without(k).likelihood(prior) for k in range(len(noisy))]
+    size = len(residual)
+    own = scatter.likelihood(prior, inflation=inflation).misfit(residual) / size
+    return own, [one.misfit(row) / size for one, row in zip(left_out, noisy, strict=True)]
 
 
 def _largest(found: Sequence[Score]) -> float:

@@ -8,7 +8,7 @@ function colours() {
 }
 
 const mm = (metres) => (metres === null || metres === undefined ? "not measured" : `${(1000 * metres).toFixed(metres < 0.01 ? 2 : 1)} mm`);
-const ROLES = { case: "the case", transfer: "transfer", fitted_on: "fitted on" };
+const ROLES = { case: "the case", transfer: "transfer", fitted_on: "fitted on", against: "compared with" };
 
 class Page {
   constructor(diagnosis, scene) {

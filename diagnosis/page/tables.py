@@ -25,6 +25,8 @@ def facts(result: dict) -> Html:
     if alternatives:
         said = [Html(f"{_effect(name)}{_chance(chances.get(name))}") for name in alternatives]
         rows.append(("other readings", Html("<br>".join(said))))
+    if test := result.get("test"):
+        rows.append(("chance of a sound twin", f"p = {number(test.get('p'))} (alarm below {number(test.get('level'))})"))
     if result.get("where") or result.get("when"):
         rows += [("where", place(result.get("where"))), ("when", window(result.get("when")))]
     for name, one in (result.get("parameters") or {}).items():
@@ -86,11 +88,19 @@ def clusters(result: dict) -> Html:
 def detectable(result: dict) -> Html:
     """The smallest amplitude of each effect that this recording could have revealed."""
     units = {one.get("effect"): one.get("unit") for one in (result.get("evidence") or {}).get("hypotheses") or []}
-    found = result.get("detectable") or {}
+    found, moved = result.get("detectable") or {}, result.get("detectable_mm")
     tested = sorted((name for name in found if found[name] is not None), key=_order)
-    rows = [("", [_effect(name), number(found[name], units.get(name))]) for name in tested]
-    rows += [("aside", [_effect(name), "untested"]) for name in sorted(found, key=_order) if found[name] is None]
-    return _table(("effect", "would have been seen from"), rows, "Nothing was computed about what this recording could have revealed.")
+    rows = [("", [_effect(name), number(found[name], units.get(name)), *_moved(moved, name)]) for name in tested]
+    rows += [("aside", [_effect(name), "untested", *([""] if moved else [])]) for name in sorted(found, key=_order) if found[name] is None]
+    return _table(
+        ("effect", "would have been seen from", *(["which moves the body by"] if moved else [])),
+        rows,
+        "Nothing was computed about what this recording could have revealed.",
+    )
+
+
+def _moved(moved: dict | None, name: str) -> list[str]:
+    return [number(moved.get(name), "mm")] if moved else []
 
 
 def notes(result: dict) -> Html:

@@ -122,7 +122,8 @@ def improvement(result: dict) -> str:
         one = fit.get("heldout") or {}
         error, floor = one.get("baseline"), one.get("noise_floor")
         beside = "" if floor is None else f"; a perfect twin would have {millimetres(floor)}, the noise of the recording"
-        return "" if error is None else f"The mean error of the twin on held-out frames is {millimetres(error)}{beside}."
+        said = "" if error is None else f"The mean error of the twin on held-out frames is {millimetres(error)}{beside}."
+        return " ".join(filter(None, (result.get("why"), said)))
     for split, words in (("heldout", "on held-out frames"), ("transfer", "on an interaction that was never fitted")):
         before, after = (fit.get(split) or {}).get("baseline"), (fit.get(split) or {}).get("extended")
         change = less(before, after)

@@ -197,6 +197,9 @@ class Scene:
         found, first = [], self.controllers[:1]
         for hand in self.hands:
             own = np.concatenate([first[:, hand.controllers], controllers[:, hand.controllers]])
+            if np.ptp(own - own[0], axis=1).max() < SAME:  # carried without a turn, as planners do by thousands: nothing is to be fitted
+                found.append(replace(hand, rotation=np.tile(np.eye(3), (len(own) - 1, 1, 1)), centre=own[1:].mean(1)))
+                continue
             rotation, centre, told = frames_of(own)  # since the recording's frame 0, where the body is held
             at_start = rotation[1] if np.abs(own[1] - own[0]).max() > SAME else np.eye(3)
             turned = steadied(rotation[1:] @ rotation[1].T, self.fps) @ at_start

@@ -75,7 +75,7 @@ class Simulator:
     def run(self, values, frames: int, controllers=None) -> np.ndarray:
         """(B, frames, M, 3) m, the structure points of each run, NaN from the frame on in which it diverged.
 
-        ``controllers`` (T, C, 3) [m] move otherwise than in the recording, if given.
+        ``controllers`` (T, C, 3) [m] move otherwise than in the recording, if given; (B, T, C, 3) in each run in its own way.
         """
         rates = np.array([v.get("frame_rate", self.scene.fps) for v in values])
         if (rates != self.scene.fps).any():
@@ -83,8 +83,9 @@ class Simulator:
         values = [self._complete(v) for v in values]
         bodies = [self.scene.body.under(v) for v in values]
         if any(body is not self.scene.body for body in bodies):  # frame 0 is under another strain in each
-            pairs = zip(bodies, values, strict=True)
-            return np.concatenate([self._of(body, self._known_steps).run([one], frames, controllers) for body, one in pairs])
+            pairs = enumerate(zip(bodies, values, strict=True))
+            alone = (self._of(body, self._known_steps).run([one], frames, _of_runs(controllers, [k])) for k, (body, one) in pairs)
+            return np.concatenate(list(alone))
         return np.stack([self._observed(path) for path in self._nodes(values, frames, controllers)])
 
     def penetrations(self, values, frames: int) -> Penetrations:
@@ -104,17 +105,32 @@ class Simulator:
         found = list(self._marched(values, frames, controllers))
         lost = [k for k, path in enumerate(found) if not _sane(path).all()]
         if lost:
-            again = self._marched([values[k] for k in lost], frames, controllers, times=2)
+            again = self._marched([values[k] for k in lost], frames, _of_runs(controllers, lost), times=2)
             for k, path in zip(lost, again, strict=True):
                 found[k] = path
         return found
 
     def _marched(self, values, frames, controllers, times=1):
+        batch, inputs = self.ready(values, frames, controllers, times)
+        with torch.no_grad():
+            return batch.split(torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]]))
+
+    def ready(self, values, frames, controllers=None, times=1):
+        """(the batch of complete ``values``, with ``times`` as many substeps as usual; its inputs at the start)."""
         batch, inputs = self._batch(values, frames, controllers, times)
         with torch.no_grad():
             if self.scene.launch is not None and self.scene.launch.field is not None:
                 inputs = replace(inputs, v=self._corrected(batch, inputs))
-            return batch.split(torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]]))
+        return batch, inputs
+
+    def under(self, values) -> tuple[Simulator, dict[str, float]]:
+        """(the simulator of the body under ``values`` at their frame rate, complete values): what ``run`` runs them by."""
+        rate, one = values.get("frame_rate", self.scene.fps), self._complete(values)
+        other = self._of(self.scene.body.under(one), self._known_steps)
+        if rate != self.scene.fps:
+            other = replace(other, scene=replace(other.scene, fps=float(rate)))
+            vars(other).update(system=self.system, _known_steps={}, _rate_of_steps=_no_faster(rate))
+        return other, one
 
     def _timed(self, values, rates, frames, controllers):
         """What ``run`` returns where frames come at ``rates`` (B,) a second, those of one rate together."""
@@ -123,7 +139,7 @@ class Simulator:
             own, known_steps = np.flatnonzero(rates == rate), self._known_rates.setdefault(_no_faster(rate), {})
             other = replace(self, scene=replace(self.scene, fps=float(rate)))
             vars(other).update(system=self.system, _known_steps=known_steps, _rate_of_steps=_no_faster(rate))
-            for k, path in zip(own, other.run([values[k] for k in own], frames, controllers), strict=True):
+            for k, path in zip(own, other.run([values[k] for k in own], frames, _of_runs(controllers, own)), strict=True):
                 found[k] = path
         return np.stack(found)
 
@@ -209,13 +225,15 @@ class Simulator:
                 table[row, batch.column(column)] = one[column]
         if self.scene.contact:  # at half of the highest frequency that the substeps are chosen for, which then need not be shorter
             table[:, batch.column("layer_rate")] = torch.as_tensor(HARD * self.scene.fps * batch.substeps)
-        path = self.scene.paths(controllers)[:frames]
-        path = np.concatenate([path, np.repeat(path[-1:], max(0, frames - len(path)), 0)])
+        each = controllers if np.ndim(controllers) == 4 else [controllers]
+        path = np.concatenate([_lasting(self.scene.paths(one), frames) for one in each], 1)
         held = np.tile(self.system.points.held, (len(values), 1))
         for row, one in zip(held, values, strict=True):
             row[self.scene.grasp.points] = self.scene.firmness(*self.grips(one))
         made = dict(dtype=batch.dtype, device=batch.device)
-        return dict(table=table, path=torch.tensor(np.tile(path, (1, len(values), 1)), **made), held=torch.tensor(held.ravel(), **made))
+        return dict(
+            table=table, path=torch.tensor(np.tile(path, (1, len(values) // len(each), 1)), **made), held=torch.tensor(held.ravel(), **made)
+        )
 
     def grips(self, values):
         """(shift (H, 3) m, reach (H,)) of all hands."""
@@ -270,6 +288,16 @@ class Simulator:
 def _sane(path):
     """(T,) bool, the frames of a path (T, N, 3) m in which everything is somewhere: nothing is NaN or kilometres away."""
     return path.abs().amax((1, 2)) < FAR
+
+
+def _of_runs(controllers, runs):
+    """Those of some runs, where runs have controllers (B, T, C, 3) of their own."""
+    return controllers[np.asarray(runs, int)] if np.ndim(controllers) == 4 else controllers
+
+
+def _lasting(path, frames):
+    """(frames, ...) of ``path``, whose last frame lasts."""
+    return np.concatenate([path[:frames], np.repeat(path[-1:], max(0, frames - len(path)), 0)])
 
 
 def _no_faster(rate):

@@ -54,16 +54,26 @@ class ContinuumTwin(Twin):
 
     def rollout(self, controllers: np.ndarray) -> Trajectory:
         controllers = np.asarray(controllers, float)
-        scene = self.scene
-        if controllers.ndim != 3 or controllers.shape[1:] != scene.controllers.shape[1:]:
-            raise ValueError(f"controllers must have shape (T, {scene.controllers.shape[1]}, 3), got {controllers.shape}")
-        path = self.simulator.run([self.values], len(controllers), controllers)[0]
-        bad = ~np.isfinite(path).all((1, 2))
-        if bad.any():
-            raise Diverged(f"the simulation blew up in frame {bad.argmax()}", int(bad.argmax()))
-        driven = np.flatnonzero(scene.grips >= 0)
-        path[:, scene.grips[driven]] = controllers[:, driven]
-        return Trajectory(path.astype(np.float32), scene.counts)
+        if controllers.ndim != 3 or controllers.shape[1:] != self.scene.controllers.shape[1:]:
+            raise ValueError(f"controllers must have shape (T, {self.scene.controllers.shape[1]}, 3), got {controllers.shape}")
+        found = self.rollouts(controllers[None])[0]
+        if isinstance(found, Diverged):
+            raise found
+        return found
+
+    def rollouts(self, controllers: np.ndarray) -> list[Trajectory | Diverged]:
+        controllers, scene = np.asarray(controllers, float), self.scene
+        if controllers.ndim != 4 or controllers.shape[2:] != scene.controllers.shape[1:]:
+            raise ValueError(f"controllers must have shape (B, T, {scene.controllers.shape[1]}, 3), got {controllers.shape}")
+        driven, found = np.flatnonzero(scene.grips >= 0), []
+        for path, own in zip(
+            self.simulator.run([self.values] * len(controllers), controllers.shape[1], controllers), controllers, strict=True
+        ):
+            bad = ~np.isfinite(path).all((1, 2))
+            path[:, scene.grips[driven]] = own[:, driven]
+            blown = Diverged(f"the simulation blew up in frame {bad.argmax()}", int(bad.argmax())) if bad.any() else None
+            found.append(blown or Trajectory(path.astype(np.float32), scene.counts))
+        return found
 
     def retarget(self, target: Observed) -> ContinuumTwin:
         """The same body and material in ``target``'s frame 0, held by its hands there.

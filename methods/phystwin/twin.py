@@ -12,7 +12,7 @@ from ...physics import terms
 from .. import saving
 from ..base import Diverged, Trajectory, Twin
 from . import transfer
-from .body import Body, Place, roll, system
+from .body import Body, Place, roll, system, time_step
 from .config import CORRECTED, Config, Quirks
 
 __all__ = ["PhysTwinTwin"]
@@ -32,18 +32,27 @@ class PhysTwinTwin(Twin):
         controllers = np.asarray(controllers, float)
         if controllers.shape[1:] != self.place.controllers.shape[1:]:
             raise ValueError(f"controllers must have shape (T, {self.place.controllers.shape[1]}, 3), got {controllers.shape}")
-        place = replace(self.place, controllers=controllers)
-        one = system(self.body, place, self.config)
+        found = self.rollouts(controllers[None])[0]
+        if isinstance(found, Diverged):
+            raise found
+        return found
+
+    def rollouts(self, controllers: np.ndarray) -> list[Trajectory | Diverged]:
+        systems, step = [], None
+        for path in np.asarray(controllers, float):
+            systems.append(system(self.body, replace(self.place, controllers=path), self.config))
         if self.transferred and self.config.quirks.fixed_grip:
-            one = one.with_values(**({"collision_dist": transfer.CONTACT} if place.self_collision else {}))
+            systems = [one.with_values(**({"collision_dist": transfer.CONTACT} if self.place.self_collision else {})) for one in systems]
             step = transfer.SUBSTEPS, transfer.STEP
-        else:
-            step = None
         quiet = replace(self.config, quirks=replace(self.config.quirks, acceleration_loss=False))
-        motion = roll([one], place.fps, len(controllers), quiet, self.device, step=step)[0]
-        if motion.diverged >= 0:
-            raise Diverged(f"the simulation blew up in frame {motion.diverged}", motion.diverged)
-        return Trajectory(motion.positions.float().cpu().numpy(), place.counts)
+        if step is None and len(systems) > 1:  # where hands go does not limit it: chosen once for all
+            step = time_step(systems[:1], self.place.fps, self.config)
+        found = []
+        for motion in roll(systems, self.place.fps, controllers.shape[1], quiet, self.device, step=step):
+            bad = motion.diverged
+            blown = Diverged(f"the simulation blew up in frame {bad}", bad) if bad >= 0 else None
+            found.append(blown or Trajectory(motion.positions.float().cpu().numpy(), self.place.counts))
+        return found
 
     def retarget(self, target: Observed) -> PhysTwinTwin:
         """The body on ``target``'s frame 0, stress-free there, its hand springs drawn anew.

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blocks import FRAMES, lifted
-from twinbench.datasets.scenario import Scenario, Split
+from blocks import FRAMES, lifted, recorded
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
@@ -24,13 +23,6 @@ NOISE = 1e-3
 CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=4, cells=1.0)
 
 
-def scenario(points, **changes):
-    observed = lifted(points)
-    known = {name: getattr(observed, name) for name in ("name", "controllers", "surface", "interior", "fps", "gravity", "ground", "grips")}
-    seen = np.ones(points.shape[:2], bool)
-    return Scenario(points=points, visible=seen, motion_valid=seen, split=Split(FRAMES - 5, FRAMES), **(known | changes))
-
-
 @pytest.fixture(scope="module")
 def twin():
     """A sound twin of the block at what made its recording, as a fit would have left it."""
@@ -44,7 +36,7 @@ def twin():
 @pytest.fixture(scope="module")
 def recording(twin):
     path = Simulator(twin.scene).run([TRUE], FRAMES)[0][:, : twin.scene.counts[0]]
-    return scenario(path + np.random.default_rng(0).normal(0, NOISE, path.shape))
+    return recorded(path + np.random.default_rng(0).normal(0, NOISE, path.shape))
 
 
 def test_block_means_are_means_of_what_was_seen(recording):
@@ -109,7 +101,7 @@ def test_signatures_are_measured_in_mm_and_absent_effects_are_zero(twin, recordi
     names = {one.name for one in found}
     assert {"wind", "added_mass", "grip_compliance", "viscoelastic"} <= names <= {e.name for e in effects("solid")}
     drag = next(one for one in found if one.name == "quadratic_drag")  # a twin that has the law at nothing is the twin
-    there = forward.with_terms([drag.candidate.effect.term()])
+    there = forward.with_effects([drag.candidate])
     assert there.rows([{**forward.values(np.zeros(2)), **drag.candidate.values([0.0])}])[0] == pytest.approx(reference, abs=1e-7)
 
 
@@ -129,3 +121,17 @@ def test_recordings_are_predicted_together(twin, recording):
     np.testing.assert_allclose(first[0], first[1], atol=1e-9)
     assert np.abs(second[1] - second[0]).max() > 1e-4
     assert len(forward.data) == 2 * len(Forward.of(twin, [recording], CONFIG).data)
+
+
+def test_effects_act_in_recordings_that_are_not_known_to_be_sound(twin, recording):
+    # wind in both, and in the second alone: what is sound stays as it is to the last bit, and what is not moves as in the other case
+    wind = next(e for e in effects("solid") if e.name == "wind").candidates(None)[0]
+    values = TRUE | wind.values([0.0, 20.0, 0.0])
+    moved = []
+    for sound in ((), (0,)):
+        forward = Forward.of(twin, [recording, recording], CONFIG, sound)
+        assert forward.asked == [r for r in range(2) if r not in sound]
+        moved.append(np.split(forward.with_effects([wind]).rows([values])[0] - forward.rows([TRUE])[0], 2))
+    (first, second), (still, alone) = moved
+    assert np.abs(first).max() > 1e-4 and not still.any()
+    np.testing.assert_array_equal(alone, second)

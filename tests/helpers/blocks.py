@@ -2,7 +2,7 @@
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from twinbench.datasets.scenario import Observed, Plane
+from twinbench.datasets.scenario import Observed, Plane, Scenario, Split
 
 SIZE, FRAMES = np.array([0.12, 0.04, 0.03]), 14
 
@@ -34,3 +34,11 @@ def lifted(points=None) -> Observed:
         gravity=np.array([0, 0, -9.8]),
         ground=Plane(np.array([0, 0, 1.0]), 0.0),
     )
+
+
+def recorded(points, **changes):
+    """A scenario of the lifted block with tracks ``points`` (T, N, 3) m, all of them seen; its last five frames are held out."""
+    observed = lifted(points)
+    known = {name: getattr(observed, name) for name in ("name", "controllers", "surface", "interior", "fps", "gravity", "ground", "grips")}
+    seen = np.ones(points.shape[:2], bool)
+    return Scenario(points=points, visible=seen, motion_valid=seen, **({"split": Split(FRAMES - 5, FRAMES)} | known | changes))

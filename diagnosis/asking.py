@@ -1,0 +1,144 @@
+"""What a continuum twin lacks: from recordings to a sound twin, a verdict, and a twin with what was named."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..datasets.scenario import Observed, Scenario
+from ..methods.base import Diverged
+from ..methods.continuum import Continuum
+from ..methods.continuum.config import Config
+from ..methods.continuum.estimate import own_values
+from ..methods.continuum.twin import ContinuumTwin
+from ..methods.continuum.unknowns import Unknown
+from .config import DiagnosisConfig
+from .inference.contrast import comparable
+from .inference.phases import Answer, Evidence, Named, gathered, weighed
+from .outcome import Outcome
+from .suitable import suitable
+
+__all__ = ["Asked", "ask", "asked", "sound_twin", "told_twin"]
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """The sound twin, what was gathered and answered, and the twin with what was named, or None."""
+
+    twin: ContinuumTwin
+    evidence: Evidence
+    answer: Answer
+    told: ContinuumTwin | None
+
+
+def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed: int = 0, device: str = "cpu") -> ContinuumTwin:
+    """The twin that is questioned, fitted jointly to the train frames of ``recordings``.
+
+    It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use.
+    """
+    return Continuum().fitted([one.observed() for one in recordings], _coarse(config), seed=seed, device=device)
+
+
+def _coarse(config: DiagnosisConfig) -> Config:
+    return Config(coarse=config.cells, refinement=0)
+
+
+def told_twin(twin: ContinuumTwin, observed: Sequence[Observed], named: Named, made: Config, *, seed: int = 0) -> ContinuumTwin:
+    """``twin`` of ``observed`` with the effect that was ``named``: all numbers fitted again from there on, its amounts among them."""
+    effect, values = named.candidate.effect, named.candidate.values(list(named.amounts.values()))
+    free = [] if effect.law else [_free(a, values[a.name]) for a in effect.amounts]
+    fixed = {name: value for name, value in values.items() if name not in {u.name for u in free}}
+    begin = twin.values | {f"rec{r}_{name}": value for r in range(len(observed)) for name, value in twin.values.items()}
+    options = dict(extra=(effect.term(),) if effect.term else (), extra_unknowns=free, fixed=fixed, begin=begin, seed=seed)
+    return Continuum().fitted(observed, made, device=twin.device, **options)
+
+
+def _free(amount, value) -> Unknown:
+    return Unknown(amount.name, float(np.clip(value, amount.low, amount.high)), amount.low, amount.high, amount.unit)
+
+
+def asked(
+    recordings: Sequence[Scenario],
+    config: DiagnosisConfig,
+    *,
+    fitted_on: Sequence[Scenario] = (),
+    against: Sequence[Scenario] = (),
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Tell = lambda said: None,
+) -> Asked:
+    """All that is found out from train frames (and, as a check on what they named, the frames held out) of ``recordings`` of one object.
+
+    In ``fitted_on`` nothing is missing: all of their frames are fitted with the others', and effects act in the others alone. So it is in
+    ``against``, which had the command of the one recording that is asked: how far it differs from them is asked then.
+    """
+    progress("fitting a sound twin")
+    known = [comparable(recordings[0], one) for one in against] or [one.with_split(one.frame_count) for one in fitted_on]
+    everything = [*recordings, *known]
+    twin = sound_twin(everything, config, seed=seed, device=device)
+    sound = range(len(recordings), len(everything))
+    evidence = gathered(twin, everything, config, sound=sound, against=bool(against), seed=seed, progress=progress)
+    answer = weighed(evidence, config, progress=progress)
+    told = None
+    if answer.verdict == "named" and known:
+        told = _refitted_twin(twin, evidence, answer.named[0])
+    elif answer.verdict == "named":
+        progress(f"fitting the twin with {answer.named[0].words}")
+        told = told_twin(twin, [one.observed() for one in recordings], answer.named[0], _coarse(config), seed=seed)
+    return Asked(twin, evidence, answer, told)
+
+
+def _refitted_twin(twin: ContinuumTwin, evidence: Evidence, named: Named) -> ContinuumTwin:
+    """``twin`` at the numbers of the refit: a further fit would let the effect act where nothing is missing as well."""
+    effect = named.candidate.effect
+    values = own_values(evidence.forward.values(named.refit.shift), 0) | named.candidate.values(list(named.amounts.values()))
+    extra = (*twin.extra, effect.term()) if effect.term else twin.extra
+    return replace(twin, values=twin.values | values, extra=extra)
+
+
+def ask(
+    recordings: Sequence[Scenario],
+    *,
+    transfer: Sequence[Scenario] = (),
+    fitted_on: Sequence[Scenario] = (),
+    against: Sequence[Scenario] = (),
+    config: DiagnosisConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Tell = lambda said: None,
+) -> Outcome:
+    """Which physics a continuum twin of the object in ``recordings`` lacks, by all of them together.
+
+    ``transfer`` recordings are simulated with the twin as it was and with what was named, and never fitted or chosen by. ``fitted_on`` are
+    recordings in which nothing is missing: what ``recordings`` have beyond them is asked. ``against`` are such of the same command: what a
+    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. Raises ValueError for
+    recordings that do not suit (``suitable``, ``inference.contrast.comparable``), or both kinds at once.
+    """
+    begun, config = time.time(), config or DiagnosisConfig()
+    if against and (fitted_on or len(recordings) != 1):
+        raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
+    suitable([*recordings, *fitted_on, *against], transfer)
+    options = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
+    found = asked(recordings, config, **options)
+    roles = dict(case=recordings, fitted_on=fitted_on, against=against, transfer=transfer)
+    parts = [(one, role) for role, group in roles.items() for one in group]
+    runs = []
+    for k, (one, _) in enumerate(parts):
+        runs.append([_run(twin, one, first=not k) for twin in (found.twin, found.told)])
+    return Outcome.of(found, parts, runs, config, seconds=time.time() - begun)
+
+
+def _run(twin: ContinuumTwin | None, recording: Scenario, *, first: bool) -> np.ndarray | None:
+    """(T, N, 3) m, of tracks; NaN where the twin diverged. In all recordings but the first, its body is laid by what may be seen there."""
+    if twin is None:
+        return None
+    there = twin if first else twin.retarget(recording.initial())
+    try:
+        return np.asarray(there.rollout(recording.controllers).tracked, float)
+    except Diverged:
+        return np.full(recording.points.shape, np.nan)

@@ -1,0 +1,90 @@
+"""Recordings of one command, of which all but the first are known to be sound: how far the first differs, beyond what twins say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...datasets.scenario import Scenario, Split
+from .blocks import Blocks
+
+__all__ = ["Contrast", "comparable"]
+
+HANDS = 0.005  # m, root mean square over frames: what a robot repeats, and what a tracker of hands sees differently
+BEGINS = 0.01  # m between the middles of the body in frame 0
+
+
+@dataclass(frozen=True, eq=False)
+class Contrast:
+    """matrix (B, A): block means of the first recording less the mean of the others' of the same place and time, of A block means of all.
+
+    rows (B,) which of the A are the first recording's; ``others`` (B, S) those of S sound recordings; ``bins`` (B,) the bins of time
+    """
+
+    matrix: np.ndarray
+    rows: np.ndarray
+    others: np.ndarray
+    bins: np.ndarray
+
+    @classmethod
+    def of(cls, blocks: Sequence[Blocks]) -> Contrast:
+        """Raises ValueError where no place and time is seen in all of them."""
+        first, *sound = blocks
+        common = [c for c in first.cells if all(c in one.cells for one in sound)]
+        if not common:
+            raise ValueError("recordings that are compared must show the same parts of the body at the same time, got none in common")
+        starts = np.r_[0, np.cumsum([3 * len(one.cells) for one in blocks])]
+        places = [
+            np.array([start + 3 * np.flatnonzero(one.cells == c)[0] for c in common]) for start, one in zip(starts, blocks, strict=False)
+        ]
+        rows, *others = [(at[:, None] + np.arange(3)).ravel() for at in places]
+        matrix, each = np.zeros((len(rows), starts[-1])), np.arange(len(rows))
+        matrix[each, rows] = 1.0
+        for one in others:
+            matrix[each, one] = -1 / len(others)
+        return cls(matrix, rows, np.stack(others, 1), np.repeat(np.array(common) // first.count, 3))
+
+    def repeats(self, off, variance) -> np.ndarray:
+        """(B,) m^2: what the mean of S sound recordings and one more differ by beyond noise, from how far the sound ones differ.
+
+        off, variance (A,) m, m^2 of what twins miss and of its noise. One sound recording says nothing of it: zeros.
+        """
+        count = self.others.shape[1]
+        if count < 2:
+            return np.zeros(len(self.rows))
+        spread = np.var(off[self.others], axis=1, ddof=1) - variance[self.others].mean(1)
+        mean = np.array([spread[self.bins == b].mean() for b in self.bins])
+        return np.maximum(0.0, mean) * (1 + 1 / count)
+
+
+def comparable(case: Scenario, sound: Scenario) -> Scenario:
+    """``sound`` in the frames of ``case``, whose command it had.
+
+    Raises ValueError where frame rate, hands, further inputs, the body's place in frame 0 or the length say that it was another one.
+    """
+    count, where = case.frame_count, f" (scenario {sound.name})"
+    if sound.fps != case.fps:
+        raise ValueError(f"recordings that are compared must have one frame rate, got {case.fps:g} and {sound.fps:g}{where}")
+    if sound.frame_count < count:
+        raise ValueError(
+            f"a sound recording must be as long as the one that it is compared with, {count} frames, got {sound.frame_count}{where}"
+        )
+    if sound.controllers.shape[1] != case.controllers.shape[1]:
+        hands = f"{case.controllers.shape[1]} and {sound.controllers.shape[1]}"
+        raise ValueError(f"recordings that are compared must have the same controllers, got {hands}{where}")
+    if case.controllers.shape[1]:
+        apart = float(np.sqrt(((sound.controllers[:count] - case.controllers) ** 2).sum(-1).mean()))
+        if apart > HANDS:
+            raise ValueError(f"hands must be within {1e3 * HANDS:g} mm of those they are compared with, got {1e3 * apart:.1f} mm{where}")
+    if (case.actuation is None) != (sound.actuation is None) or (
+        case.actuation is not None and not np.allclose(case.actuation, sound.actuation[:count])
+    ):
+        raise ValueError(f"further inputs must be those of the recording they are compared with, and differ{where}")
+    middles = [one.points[0][one.visible[0]].mean(0) for one in (case, sound)]
+    if (far := float(np.linalg.norm(middles[1] - middles[0]))) > BEGINS:
+        raise ValueError(f"bodies must begin within {1e3 * BEGINS:g} mm of each other, got {1e3 * far:.1f} mm{where}")
+    cut = {name: getattr(sound, name) for name in ("points", "visible", "motion_valid", "controllers", "colors", "actuation")}
+    cut = {name: None if value is None else value[:count] for name, value in cut.items()}
+    return replace(sound, **cut, images=None, tracks=None, split=Split(case.split.train_end, count))

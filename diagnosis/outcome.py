@@ -1,0 +1,301 @@
+"""What a diagnosis says of recordings and a continuum twin: the content of ``diagnosis.json``, and what the report draws."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..datasets.scenario import Scenario
+from ..datasets.temporary import replacing
+from ..methods.continuum.sights import jitter
+from .config import DiagnosisConfig
+from .effects import effects
+from .inference.phases import Answer, Evidence, Named
+from .page.document import plain
+from .page.words import effect_name
+from .report import write_report
+
+__all__ = ["Outcome", "chance_of_sound", "verdict_of"]
+
+SCHEMA = 2
+NORMAL90 = 1.645  # standard deviations on either side of a normal 90 % interval
+READINGS = 0.9  # names are readings until they have this much of the probability together, were one of them true
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """result: what ``diagnosis.json`` holds; arrays: what the report draws, see ``write_report``."""
+
+    result: dict
+    arrays: dict
+
+    @classmethod
+    def of(cls, found, parts: Sequence[tuple[Scenario, str]], runs, config: DiagnosisConfig, *, seconds: float) -> Outcome:
+        """Of an ``Asked``, the recordings and their roles, and of each the tracks (T, N, 3) m of the twin and of the told one, or None."""
+        answer, forward = found.answer, found.evidence.forward
+        verdict, names = verdict_of(answer, config)
+        first = answer.named[0] if names else None
+        floor = float(np.mean([_floor(one) for one, role in parts if role == "case"]))
+        result = {
+            "schema": SCHEMA,
+            "twin": "continuum",
+            "verdict": verdict,
+            "effect": names[0] if names else None,
+            "alternatives": list(names[1:]),
+            "probabilities": _probabilities(answer, verdict),
+            "why": _why_undecided(answer, config) if verdict == "cannot_tell" else None,
+            "test": _test(answer, found.evidence, config),
+            "where": _where(first, forward.simulators[0].scene.body.structure),
+            "when": {"frames": [0, parts[0][0].frame_count]} if first else None,
+            "parameters": _parameters(first),
+            "fit": _errors(parts, runs, floor),
+            "budget": [asdict(b) | {"recording": parts[b.record][0].name} for b in answer.budget],
+            "detectable": _detectable(answer, found.evidence, "amount"),
+            "detectable_mm": _detectable(answer, found.evidence, "mm"),
+            "experiment": _experiment(verdict, names),
+            "evidence": {
+                "hypotheses": _hypotheses(answer, found.evidence, names),
+                "noise_floor": floor,
+                "notes": _notes(found, answer, config),
+                "recordings": _recordings(parts),
+                "curves": _curves(parts, runs, floor),
+                "twin": found.twin.values,
+                "told": found.told.values if found.told else None,
+                "rollouts": {"count": answer.runs, "seconds": answer.seconds},
+            },
+            "seconds": round(seconds, 1),
+        }
+        return cls(result, _arrays(parts, runs))
+
+    def write(self, out: str | Path) -> None:
+        """Write ``diagnosis.json`` and ``report.html`` into the folder ``out``, each in one rename."""
+        out = Path(out)
+        with replacing(out / "diagnosis.json") as temporary:
+            temporary.write_text(json.dumps(plain(self.result), indent=1, allow_nan=False), encoding="utf-8")
+        write_report(self.result, self.arrays, out / "report.html")
+
+
+def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str, ...]]:
+    """(one of ``page.words.VERDICTS``, the names that it rests on, best first).
+
+    Where a sound twin explains the fitted frames, the body is adequate only if the frames held out say so as well, and if at least half of
+    the effects asked would have been found at ``config.motion`` mm; otherwise nothing can be told.
+    """
+    if answer.verdict == "adequate":
+        return ("cannot_tell" if _why_undecided(answer, config) else "adequate"), ()
+    if answer.verdict == "unknown":
+        return "unknown", ()
+    first, kinds = answer.named[0], {e.name: e.kind for e in effects()}
+    readings, share = [], 0.0
+    for name, chance in answer.probabilities.items():
+        if share < READINGS:
+            readings.append(name)
+        share += chance
+    others = [n for n in dict.fromkeys([*answer.parallel, *readings]) if n != first.name]
+    if others:
+        return "ambiguous", (first.name, *others)
+    return ("measurement" if kinds[first.name] == "measurement" else "missing"), (first.name,)
+
+
+def _why_undecided(answer: Answer, config: DiagnosisConfig) -> str | None:
+    """Why recordings that a sound twin explains do not show that it is one, or None."""
+    sizes: dict[str, float] = {}
+    for one in answer.detectable:
+        sizes[one.name] = min(one.size, sizes.get(one.name, np.inf))
+    half = float(np.median(list(sizes.values()))) if sizes else np.inf
+    if half > config.motion:
+        return f"Half of the effects that were asked would have to move the body by {half:.0f} mm or more to be found here."
+    if answer.test.p_held_out < config.level:
+        return f"On the frames held out the twin is off by more than sound twins are (p = {answer.test.p_held_out:.2g})."
+    return None
+
+
+def chance_of_sound(p: float) -> float:
+    """The least probability that a p-value leaves a sound twin, at even odds before: -e p ln p against one (Sellke et al. 2001)."""
+    if p >= np.exp(-1):
+        return 0.5
+    odds = -np.e * max(p, 1e-12) * np.log(max(p, 1e-12))
+    return float(odds / (1 + odds))
+
+
+def _probabilities(answer: Answer, verdict: str) -> dict:
+    sound = chance_of_sound(answer.test.p)
+    shares = {} if verdict in ("unknown", "adequate", "cannot_tell") else answer.probabilities
+    found = {"adequate": sound} | {name: (1 - sound) * share for name, share in shares.items()}
+    return {name: round(p, 4) for name, p in (found | {"unknown": 0.0 if shares else 1 - sound}).items()}
+
+
+def _test(answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> dict:
+    t = answer.test
+    said = dict(p=t.p, p_misfit=t.p_misfit, p_scan=t.p_scan, p_held_out=t.p_held_out, level=config.level, members=len(evidence.noisy))
+    return said | dict(misfit=t.misfit, standardised=list(t.standardised))
+
+
+def _where(first: Named | None, structure) -> dict | None:
+    """Where on the body it is: the particles of frame 0 within its reach, at least the nearest."""
+    if first is None or first.place is None:
+        return None
+    effect, fixed = first.candidate.effect, first.candidate.fixed
+    far = np.linalg.norm(structure - np.array(first.place), axis=1)
+    reach = float(fixed.get(effect.within, 0.0)) or float(far.min())
+    points = np.flatnonzero(far <= max(reach, far.min()))
+    return {"points": points.tolist(), "centroid": structure[points].mean(0).tolist(), "radius": reach}
+
+
+def _parameters(first: Named | None) -> dict:
+    """The effect's amounts with 90 % intervals from the curvature of its refit, and what it was tried with."""
+    if first is None:
+        return {}
+    found = {}
+    for amount in first.candidate.effect.amounts:
+        value, sd = first.amounts[amount.name], first.sds[amount.name]
+        ends = [float(np.clip(value + s * NORMAL90 * sd, amount.low, amount.high)) for s in (-1, 1)]
+        found[amount.name] = {"value": value, "unit": amount.unit, "interval90": ends}
+    units = {p.name: p.unit for p in (first.candidate.effect.term.parameters if first.candidate.effect.term else ())}
+    return found | {n: {"value": float(v), "unit": units.get(n, "-"), "interval90": None} for n, v in first.candidate.fixed.items()}
+
+
+def _off(recording: Scenario, path) -> np.ndarray:
+    """(T, N) m, of tracks that are seen and not driven; NaN elsewhere."""
+    seen = recording.visible.copy()
+    seen[:, recording.grips[recording.grips >= 0]] = False
+    return np.where(seen, np.linalg.norm(path - recording.points, axis=2), np.nan)
+
+
+def _mean(values) -> float | None:
+    return float(np.nanmean(values)) if np.isfinite(values).any() else None
+
+
+def _errors(parts, runs, floor) -> dict:
+    """Mean errors [m] at tracks by what was fitted, what was held out and what was never fitted; several recordings count alike."""
+    found = {}
+    for split, role, cut in (
+        ("train", "case", lambda one: slice(0, one.split.train_end)),
+        ("heldout", "case", lambda one: slice(one.split.train_end, None)),
+        ("transfer", "transfer", lambda one: slice(0, None)),
+    ):
+        means = []
+        for (one, own), pair in zip(parts, runs, strict=True):
+            if own == role:
+                means.append([None if path is None else _mean(_off(one, path)[cut(one)]) for path in pair])
+        columns = [[m for m in column if m is not None] for column in zip(*means, strict=True)] if means else [[], []]
+        if columns[0]:
+            before, after = (float(np.mean(c)) if c else None for c in columns)
+            found[split] = {"baseline": before, "extended": after, "noise_floor": floor, "last_residual": None, "learned_residual": None}
+    return found
+
+
+def _floor(recording: Scenario) -> float:
+    """Mean length [m] of the noise vector of a track: sqrt(8 / pi) standard deviations of a coordinate from one frame to the next."""
+    return float(np.sqrt(8 / np.pi) * jitter(np.nan_to_num(recording.points), recording.visible))
+
+
+def _detectable(answer: Answer, evidence: Evidence, unit: str) -> dict:
+    """By effect the least size that would have been found, None for one that was not asked: mm of motion, or its first amount's."""
+    found: dict[str, float | None] = {e.name: None for e in effects()}
+    amounts = {id(s.candidate): float(s.unit[0]) for s in evidence.catalogue}
+    for one, signature in zip(answer.detectable, evidence.catalogue, strict=True):
+        size = one.size * (amounts[id(signature.candidate)] if unit == "amount" else 1.0)
+        found[one.name] = size if found[one.name] is None else min(size, found[one.name])
+    return found
+
+
+def _hypotheses(answer: Answer, evidence: Evidence, names) -> list[dict]:
+    """A row for every effect that was asked: what it explains, and what speaks for or against it."""
+    full = {n.name: n for n in answer.named}
+    shares = {d.name: d.unabsorbed for d in sorted(answer.detectable, key=lambda d: d.unabsorbed)}
+    best: dict[str, float] = {}
+    for signature, one in zip(evidence.catalogue, answer.test.scores, strict=True):
+        best[signature.name] = max(best.get(signature.name, 0.0), one.explains)
+    rows = [{"effect": "baseline", "kind": "baseline", "train_gain": 0.0, "heldout_gain": 0.0, "transfer_gain": None}]
+    units = {e.name: e.amounts[0].unit for e in effects()}
+    for name in sorted(best, key=lambda n: (n not in names, n not in full, -best[n])):
+        one = full.get(name)
+        rows.append(
+            {
+                "effect": name,
+                "kind": "refitted" if one else "linear estimate",
+                "train_gain": best[name],
+                "heldout_gain": None if one is None or np.isnan(one.gain.share) else one.gain.share,
+                "transfer_gain": None,
+                "absorbed": 1 - shares[name],
+                "amplitude": None if one is None else float(np.linalg.norm(list(one.amounts.values()))),
+                "unit": units[name],
+                "probability": answer.probabilities.get(name) if one else None,
+                "why": _why(name, one, names),
+            }
+        )
+    return rows
+
+
+def _why(name: str, one: Named | None, names) -> str:
+    if names and name == names[0]:
+        return "chosen"
+    if name in names:
+        return "the recordings cannot tell it from the first"
+    if one is None:
+        return "others explain more of what sound twins leave"
+    if one.gain.share < one.gain.error:
+        return "does not hold on the held-out frames"
+    return "others are likelier"
+
+
+def _experiment(verdict: str, names) -> str | None:
+    known = {e.name: e for e in effects()}
+    motions = [f"{effect_name(n)}: {known[n].motion}" for n in names[:2] if known[n].motion]
+    return "What would show it best: " + "; ".join(motions) + "." if verdict == "ambiguous" and motions else None
+
+
+def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:
+    scene, members = found.twin.scene, len(found.evidence.noisy)
+    body = scene.body.kind
+    said = [f"The twin that was questioned is a {body}, in {config.cells:g} times the method's cells, beside {members} sound twins."]
+    said.append(f"p = {answer.test.p:.2g} that a sound twin's error looks like this (level {config.level:g}); {answer.runs} roll-outs.")
+    if answer.verdict == "adequate":
+        said.append("Effects below the sizes listed as detectable may still be there.")
+    return said + ([found.twin.note] if found.twin.note else [])
+
+
+def _recordings(parts) -> list[dict]:
+    return [
+        {
+            "name": one.name,
+            "role": role,
+            "frames": one.frame_count,
+            "points": one.points.shape[1],
+            "fps": float(one.fps),
+            "train_end": one.split.train_end if role == "case" else 0,
+        }
+        for one, role in parts
+    ]
+
+
+def _curves(parts, runs, floor) -> dict:
+    found = {}
+    for (one, _), pair in zip(parts, runs, strict=True):
+        named = {n: [_mean(row) for row in _off(one, p)] for n, p in zip(("baseline", "extended"), pair, strict=True) if p is not None}
+        found[one.name] = named | {"noise_floor": floor}
+    return found
+
+
+def _arrays(parts, runs) -> dict:
+    """As ``write_report`` takes them."""
+    arrays = {}
+    for r, ((one, _), pair) in enumerate(zip(parts, runs, strict=True)):
+        arrays[f"observed_{r}"] = np.where(one.visible[..., None], one.points, np.nan)
+        for name, path in zip(("baseline", "extended"), pair, strict=True):
+            if path is not None:
+                arrays[f"{name}_{r}"] = path
+        if one.controllers.size:
+            arrays[f"controllers_{r}"] = one.controllers
+    first = parts[0][0]
+    gravity = np.asarray(first.gravity, float)
+    if np.linalg.norm(gravity) > 0:
+        arrays["up"] = -gravity / np.linalg.norm(gravity)
+    if first.ground is not None:
+        arrays["ground"] = np.append(first.ground.normal, first.ground.offset) / np.linalg.norm(first.ground.normal)
+    return arrays

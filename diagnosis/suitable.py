@@ -1,0 +1,74 @@
+"""What recordings must have to be diagnosed: each thing that is missing is one error that says which recording, which rule and how much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..datasets.scenario import Scenario
+from ..methods.continuum.bodies import Body, bodies_of
+
+__all__ = ["suitable"]
+
+FRAMES = 12  # train frames: eight bins of fewer are single frames, whose noise is no mean's
+POINTS = 20  # tracked points that are seen in frame 0: two regions of ten
+EXTENT = 0.02, 5.0  # m: beyond it, units are wrong or nothing of the tables' bodies is meant
+SEEN = 0.2  # of points and frames: of less, most means are of nothing
+LIKE = 1.6  # in size, of two recordings of one object: poses and views differ by less
+
+
+def suitable(recordings: Sequence[Scenario], transfer: Sequence[Scenario] = ()) -> None:
+    """Raises ValueError for recordings that no verdict can rest on, or that are not of one object."""
+    if not recordings:
+        raise ValueError("at least one recording must be given, got none")
+    for one in (*recordings, *transfer):
+        _enough(one)
+    for k, one in enumerate(transfer):
+        for other in (*recordings, *transfer[:k]):
+            if _same(one, other):
+                raise ValueError(f"a transfer recording must be another interaction, got the same as {other.name} (scenario {one.name})")
+    for k, one in enumerate(recordings):
+        for other in recordings[:k]:
+            if _same(one, other):
+                raise ValueError(f"recordings must differ, got {other.name} twice (scenario {one.name})")
+    first = _body(recordings[0])
+    for one in (*recordings[1:], *transfer):
+        _alike(first, recordings[0], one)
+
+
+def _enough(one: Scenario) -> None:
+    if not one.correspond:
+        raise ValueError(f"points must correspond from frame to frame for a diagnosis (scenario {one.name})")
+    if one.split.train_end < FRAMES:
+        raise ValueError(f"a diagnosis needs at least {FRAMES} train frames, got {one.split.train_end} (scenario {one.name})")
+    seen = one.points[0][one.visible[0]]
+    if len(seen) < POINTS:
+        raise ValueError(f"a diagnosis needs at least {POINTS} points seen in frame 0, got {len(seen)} (scenario {one.name})")
+    if (share := float(one.visible[: one.split.train_end].mean())) < SEEN:
+        raise ValueError(f"points must be seen in at least {SEEN:.0%} of train frames, got {share:.0%} (scenario {one.name})")
+    extent = float(np.ptp(seen, axis=0).max())
+    if not EXTENT[0] <= extent <= EXTENT[1]:
+        units = ": these look like millimetres, and metres are meant" if EXTENT[0] <= extent / 1000 <= EXTENT[1] else ""
+        raise ValueError(f"a body must be {EXTENT[0]} to {EXTENT[1]} m long, got {extent:.3g} m{units} (scenario {one.name})")
+
+
+def _same(one: Scenario, other: Scenario) -> bool:
+    return one.points.shape == other.points.shape and np.array_equal(one.points, other.points, equal_nan=True)
+
+
+def _body(one: Scenario) -> Body:
+    return bodies_of([one.observed()])[0]
+
+
+def _alike(first: Body, recording: Scenario, one: Scenario) -> None:
+    """Of one kind, and of about one size: the root mean square distance from the middle of a solid, which no pose changes much."""
+    body = _body(one)
+    if body.kind != first.kind:
+        raise ValueError(f"recordings must show one object, got a {first.kind} in {recording.name} and a {body.kind} (scenario {one.name})")
+    if body.kind != "solid":
+        return
+    sizes = [float(np.sqrt(((b.structure - b.structure.mean(0)) ** 2).sum(1).mean())) for b in (first, body)]
+    if not 1 / LIKE <= sizes[1] / sizes[0] <= LIKE:
+        said = f"{1e3 * sizes[0]:.0f} mm around its middle in {recording.name} and {1e3 * sizes[1]:.0f} mm"
+        raise ValueError(f"recordings must show one object, got one of {said} (scenario {one.name})")

@@ -1,0 +1,148 @@
+"""A diagnosis with a continuum twin: what suits it, what it says of what was found, and what is written."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from blocks import FRAMES, lifted, recorded
+from twinbench.datasets.scenario import Split
+from twinbench.diagnosis.asking import ask
+from twinbench.diagnosis.config import DiagnosisConfig
+from twinbench.diagnosis.diagnose import diagnose
+from twinbench.diagnosis.diagnosed import extend
+from twinbench.diagnosis.outcome import chance_of_sound, verdict_of
+from twinbench.diagnosis.page.budget import LAYERS, budget, shares
+from twinbench.diagnosis.suitable import suitable
+from twinbench.methods.continuum import Continuum
+from twinbench.methods.continuum.body import body_of
+from twinbench.methods.continuum.config import Config
+from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.simulate import Simulator
+from twinbench.methods.continuum.solids import Solid
+from twinbench.physics.terms import Wind
+
+TRUE = dict(youngs_modulus=8e3, damping_time=0.01, poisson=0.3, drag_damping=0.3)
+CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=8, cells=1.0, refitted=2)
+
+
+def block(name="block", noise=1e-3, seed=0, extra=(), **more):
+    """A recording of a small block that is lifted, of what the twin is made of and ``extra`` terms."""
+    told = lifted()
+    scene = Scene.of(told, Solid.told(told, body_of(told, kind="solid", pitch=0.02)))
+    path = Simulator(scene, tuple(extra)).run([TRUE | more], FRAMES)[0][:, : scene.counts[0]]
+    return recorded(path + np.random.default_rng(seed).normal(0, noise, path.shape), name=name, split=Split(12, FRAMES))
+
+
+def test_what_does_not_suit_is_refused_by_name():
+    one = block("first")
+    larger = replace(block("larger", seed=1), points=2 * one.points, surface=2 * one.surface, interior=2 * one.interior)
+    cases = [
+        ([], (), "at least one recording"),
+        ([one], [replace(one, name="again")], r"another interaction, got the same as first \(scenario again\)"),
+        ([one, replace(one, name="again")], (), r"got first twice \(scenario again\)"),
+        ([replace(one, split=Split(5, one.frame_count))], (), r"at least 12 train frames, got 5 \(scenario first\)"),
+        ([one], [larger], "one object"),
+        ([replace(one, points=1000 * one.points)], (), "look like millimetres"),
+        ([replace(one, correspond=False, motion_valid=np.zeros_like(one.visible))], (), "must correspond"),
+    ]
+    for recordings, transfer, said in cases:
+        with pytest.raises(ValueError, match=said):
+            suitable(recordings, transfer)
+    suitable([one, block("second", seed=1)])
+
+
+def test_few_points_or_frames_are_refused():
+    one = block("first")
+    hidden = one.visible.copy()
+    hidden[:, 15:] = False
+    with pytest.raises(ValueError, match="at least 20 points seen in frame 0, got 15"):
+        suitable([replace(one, visible=hidden, motion_valid=hidden)])
+    hidden = one.visible.copy()
+    hidden[1:] = False
+    with pytest.raises(ValueError, match="in at least 20% of train frames, got"):
+        suitable([replace(one, visible=hidden, motion_valid=hidden)])
+
+
+def test_options_that_the_twin_has_no_use_for_are_refused():
+    one = block()
+    with pytest.raises(ValueError, match="unknown twin 'cloud'"):
+        diagnose(one, twin="cloud")
+    with pytest.raises(ValueError, match="'springs' is asked about one recording, got 2"):
+        diagnose([one, one])
+    with pytest.raises(ValueError, match="got block twice"):
+        diagnose(one, twin="continuum", fitted_on=[one])
+
+
+def test_a_p_value_leaves_a_sound_twin_its_least_probability():
+    # Sellke, Bayarri and Berger (2001), table 1: p = 0.05 is at least 0.289, 0.01 at least 0.111, 0.001 at least 0.0184
+    assert [chance_of_sound(p) for p in (0.05, 0.01, 0.001)] == pytest.approx([0.289, 0.111, 0.0184], abs=5e-4)
+    assert chance_of_sound(0.9) == chance_of_sound(0.4) == 0.5
+
+
+def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, parallel=(), kinds=("wind",)):
+    found = [SimpleNamespace(name=f"effect {k}", size=s) for k, s in enumerate(sizes)]
+    named = [SimpleNamespace(name=name) for name in kinds]
+    chances = {name: 1.0 for name in kinds[:1]} if chances is None else chances
+    test = SimpleNamespace(p=0.5, p_held_out=held_out)
+    return SimpleNamespace(verdict=verdict, test=test, detectable=found, named=named, probabilities=chances, parallel=parallel)
+
+
+@pytest.mark.parametrize(
+    ("found", "verdict", "names"),
+    [
+        (answer(), "adequate", ()),
+        (answer(sizes=(30.0, 40.0, 2.0)), "cannot_tell", ()),  # half of the effects could be 20 mm large
+        (answer(held_out=0.001), "cannot_tell", ()),  # fitted frames say sound, those held out do not
+        (answer("unknown"), "unknown", ()),
+        (answer("named"), "missing", ("wind",)),
+        (answer("named", kinds=("controller_delay",)), "measurement", ("controller_delay",)),
+        (answer("named", parallel=("gravity_tilt",)), "ambiguous", ("wind", "gravity_tilt")),
+        (answer("named", chances={"wind": 0.6, "creep": 0.39, "pressure": 0.01}), "ambiguous", ("wind", "creep")),
+    ],
+)
+def test_the_verdict_follows_from_what_was_found(found, verdict, names):
+    assert verdict_of(found, CONFIG) == (verdict, names)
+
+
+def test_layers_of_the_budget_add_up_to_the_error():
+    part = dict(
+        record=0, begin=0.0, end=0.5, fitted=True, error=5.0, noise=1.0, representation=3.0, parameters=0.0, named=1.0, unexplained=0.0
+    )
+    assert sum(shares(part).values()) == pytest.approx(1.0)
+    assert shares(part)["representation"] == pytest.approx(9 / 25)
+    assert shares(part)["unexplained"] == pytest.approx(14 / 25)
+    assert shares(part | {"representation": 9.0})["unexplained"] == 0  # sound twins are off by more than this one
+    page = budget({"budget": [part, part | {"begin": 0.5, "end": 1.0, "fitted": False}]})
+    assert page.count("<svg") == 1 and page.count('class="held"') == 1 and all(words in page for words in LAYERS.values())
+    assert budget({}) == ""
+
+
+def test_too_few_frames_add_nothing_and_say_so():
+    made = Config(starts=1, iterations=1, refinement=0, members=0)
+    observed = block().observed()
+    start = Continuum().fitted([observed], made)
+    twin = extend([observed], start, made, members=4)
+    assert twin.note.startswith("not diagnosed: a diagnosis needs at least 12 train frames, got 9")
+    assert twin.values == start.values
+
+
+@pytest.mark.slow
+def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
+    blown = [block(name, seed=k, extra=(Wind(),), wind_y=20.0, wind_speed=3.0) for k, name in enumerate(("first", "second"))]
+    found = ask(blown[:1], transfer=blown[1:], config=CONFIG)
+    assert found.result["test"]["p"] < 0.03
+    assert "wind" in (found.result["effect"], *found.result["alternatives"])
+    assert found.result["fit"]["transfer"]["extended"] < 0.7 * found.result["fit"]["transfer"]["baseline"]
+    found.write(tmp_path)
+    result = json.loads((tmp_path / "diagnosis.json").read_text())
+    assert result["schema"] == 2 and result["verdict"] == found.result["verdict"]
+    assert sum(result["probabilities"].values()) == pytest.approx(1.0, abs=1e-3)
+    assert {"error", "noise", "representation", "parameters", "named", "unexplained"} <= set(result["budget"][0])
+    assert (tmp_path / "report.html").read_text().count('<figure class="budget"') == 1
+    known = ask(blown[:1], fitted_on=[block("known", seed=7)], config=CONFIG)
+    assert known.result["test"]["p"] < 0.03 and [r["role"] for r in known.result["evidence"]["recordings"]] == ["case", "fitted_on"]
+    sound = ask([block("sound", seed=5), block("other", seed=6)], config=CONFIG)
+    assert sound.result["test"]["p"] > 0.03 and sound.result["effect"] is None
+    assert {part["record"] for part in sound.result["budget"]} == {0, 1}
