@@ -7,45 +7,22 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter
+from pushed_box import FRAMES, STEP, TABLE, H, W, filmed
 from scipy.spatial.transform import Rotation
 from twinbench.benchmark.cli import main
-from twinbench.datasets.capture import RawCamera, RawRecording, open_raw
+from twinbench.datasets.capture import RawRecording, open_raw
 from twinbench.datasets.capture.build import BuildOptions, build
 from twinbench.datasets.capture.fusing import fuse
 from twinbench.datasets.capture.layout import write_layout
 from twinbench.datasets.capture.lifting import Filters, motion_agrees, not_alone, resampled, solid_depth, to_points
-from twinbench.datasets.capture.pictures import Held
 from twinbench.datasets.capture.prompting import read_prompts
 from twinbench.datasets.check import check
 from twinbench.datasets.perception.hands import find_hands, rigid
 from twinbench.datasets.perception.hull import visual_hull
 from twinbench.datasets.phystwin import read_case
 from twinbench.datasets.scenario import Camera, Plane
-from twinbench.datasets.synthetic.render import look_at
 
 GROUND = Plane(np.array([0.0, 0.0, -1.0]))
-H, W, FRAMES, STEP = 120, 200, 8, 3  # pixels a frame
-SKIN, TABLE = (216, 160, 128), (150, 148, 145)
-
-
-def filmed(frames=FRAMES, **changed):
-    """A box 4 cm high, textured, and a hand at its side, both pushed by STEP pixels a frame, from 0.6 m straight above."""
-    camera = look_at([0.0001, 0, -0.6], [0, 0, 0], focal=200.0, width=W, height=H, principal=((W - 1) / 2, (H - 1) / 2))
-    rng = np.random.default_rng(0)
-    grain = gaussian_filter(rng.standard_normal((H, 2 * W)), 1.3)
-    grain = (grain - grain.min()) / np.ptp(grain)
-    colors, depths = [], []
-    for t in range(frames):
-        color, depth = np.full((H, W, 3), TABLE, float), np.full((H, W), 0.6)
-        for top, left, height, width, paint in ((45, 40, 30, 50, (60, 130, 230)), (50, 90, 20, 20, SKIN)):
-            place = (slice(top, top + height), slice(left + STEP * t, left + width + STEP * t))
-            texture = 0.3 + 0.7 * grain[top : top + height, left : left + width, None]
-            color[place], depth[place] = np.array(paint) * (texture if paint != SKIN else 0.8 + 0.2 * texture), 0.56
-        colors.append(np.clip(color + rng.normal(0, 1.5, color.shape), 0, 255).astype(np.uint8))
-        depths.append(np.round((depth + rng.normal(0, 0.0004, depth.shape)) * 1000).astype(np.uint16))
-    given = {"stamps": np.arange(frames) / 30, "depth_unit": 0.001, "frames": Held(colors, depths)} | changed
-    return RawRecording("push", (RawCamera("top", camera.intrinsics, camera.camera_to_world, W, H, **given),))
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +55,7 @@ def test_a_pushed_box_is_a_case_that_moves_as_it_was_pushed(built):
 
 def test_the_report_is_one_page_that_fetches_nothing(built):
     page = (built[1] / "report.html").read_text()
-    assert "one camera: the far side was never seen" in page and page.count("data:image/jpeg;base64,") == 3
+    assert "one camera: the far side was never seen" in page and page.count("data:image/jpeg;base64,") == 3 and page.count("<svg") == 5
     assert "http" not in page and "<script" not in page
 
 

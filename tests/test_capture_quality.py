@@ -56,7 +56,8 @@ def test_twins_of_both_are_scored_on_the_truth(made):
     """A twin that holds frame 0 is off by the truth's own motion, and by the built frame 0's few millimetres."""
     take, built = made
     true = true_scenario(take, built)
-    errors = twin_errors(built.scenario, true, "static")
+    errors = twin_errors(built.scenario, true, "static", {"hands": ("controllers",), "points": ("points", "visible", "motion_valid")})
+    assert errors["hands_mm"] == errors["truth_mm"] and errors["points_mm"] == errors["built_mm"]  # what stands still is moved by no hand
     still = 1000 * np.linalg.norm(true.points[0] - true.points, axis=2)[true.split.train_end :].mean()
     assert abs(errors["truth_mm"] - still) < 1e-3 and abs(errors["built_mm"] - still) < 4
 

@@ -179,3 +179,100 @@ def test_cotracker_is_asked_in_its_order_of_axes(monkeypatch):
     found = tracker("cotracker").tracks(shown, Masks(thing, fist), np.array([[60, 50], [100, 55]]))
     assert found.pixels[2].tolist() == [[64, 50], [104, 55]] and found.hand.tolist() == [False, True]
     assert found.visible.tolist() == [[True, False], [True, True], [False, True]]
+
+
+def test_grounded_sam2_asks_for_words_and_follows_boxes(monkeypatch):
+    import torch
+
+    shown, thing, fist = clip()
+    asked, boxes = {}, torch.tensor([[0.0, 0, 9, 9], [50, 40, 90, 70], [95, 50, 110, 60]])
+
+    class Inputs(dict):
+        input_ids = "ids"
+        to = lambda self, device: self  # noqa: E731
+
+    class Processor:
+        from_pretrained = classmethod(lambda cls, name: cls())
+
+        def __call__(self, images, text, return_tensors):
+            asked["text"], asked["images"] = text, images
+            return Inputs(pixel_values=1)
+
+        def post_process_grounded_object_detection(self, outputs, ids, *, threshold, text_threshold, target_sizes):
+            assert (outputs, ids, threshold, text_threshold, target_sizes) == ("answer", "ids", 0.35, 0.25, [(H, W)])
+            return [{"boxes": boxes, "scores": torch.tensor([0.4, 0.8, 0.9]), "labels": asked.get("labels", ["rope", "rope", "hand"])}]
+
+    class Model:
+        from_pretrained = classmethod(lambda cls, name: cls())
+        to = lambda self, device: self  # noqa: E731
+        __call__ = lambda self, pixel_values: "answer"  # noqa: E731
+
+    class Predictor:
+        from_pretrained = classmethod(lambda cls, weights, device: cls())
+        init_state = staticmethod(lambda video_path: {})
+
+        def add_new_points_or_box(self, inference_state, frame_idx, obj_id, box):
+            asked[obj_id] = box.tolist()
+
+        def propagate_in_video(self, state):
+            for t in range(3):
+                yield t, [1, 2], torch.from_numpy(np.stack([thing[t], fist[t]])[:, None].astype(np.float32) - 0.5)
+
+    modules = {"transformers": {"AutoProcessor": Processor, "AutoModelForZeroShotObjectDetection": Model}}
+    modules |= {"sam2": {}, "sam2.sam2_video_predictor": {"SAM2VideoPredictor": Predictor}}
+    for name, content in modules.items():
+        module = types.ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    with pytest.raises(ValueError, match="camera top: grounded-sam2 needs a word"):
+        masker("grounded-sam2").masks(shown)
+    said = replace(shown, prompts=Prompts(text="Rope"))
+    found = masker("grounded-sam2").masks(said)
+    assert np.array_equal(found.object, thing) and np.array_equal(found.hand, fist)
+    assert asked["text"] == "rope. hand." and np.array_equal(asked["images"], shown.colors[0])
+    assert asked[1] == [50, 40, 90, 70] and asked[2] == [95, 50, 110, 60]  # the surest of two boxes
+    asked["labels"] = ["hand", "hand", "hand"]
+    with pytest.raises(ValueError, match=r"camera top: no 'Rope' was found in frame 0, only hand \(0\.40\)"):
+        masker("grounded-sam2").masks(said)
+    monkeypatch.setitem(sys.modules, "transformers", None)
+    with pytest.raises(ImportError, match=r"Apache-2\.0\): pip install 'transformers"):
+        masker("grounded-sam2").masks(said)
+
+
+def test_tapir_is_asked_in_its_coordinates(monkeypatch):
+    """Its (0, 0) is the corner of the first pixel of a picture of 256 x 256, points are t, y, x, and it answers (P, T) x, y and logits."""
+    import torch
+
+    shown, thing, fist = clip()
+
+    class Tapir:
+        def __init__(self, pyramid_level):
+            assert pyramid_level == 1
+
+        load_state_dict = lambda self, weights: None  # noqa: E731
+        to = lambda self, device: self  # noqa: E731
+        eval = lambda self: self  # noqa: E731
+
+        def __call__(self, video, queries):
+            assert video.shape == (1, 3, 256, 256, 3) and video.min() >= -1 and video.max() <= 1 and queries.shape == (1, 2, 3)
+            assert torch.allclose(queries[0, 0], torch.tensor([0, 50.5 * 256 / H, 60.5 * 256 / W]))
+            steps = torch.arange(3)[None, :, None] * torch.tensor([2.0 * 256 / W, 0])  # two of our pixels a frame
+            logits = torch.tensor([[-9.0, -9, 9], [-9, -9, -9]])
+            unsure = torch.tensor([[-9.0, -9, -9], [9, -9, -9]])
+            return {"tracks": (queries[0, :, None, [2, 1]] + steps)[None], "occlusion": logits[None], "expected_dist": unsure[None]}
+
+    module = types.ModuleType("tapnet.torch")
+    module.tapir_model = types.SimpleNamespace(TAPIR=Tapir)
+    masks, starts = Masks(thing, fist), np.array([[60, 50], [100, 55]])
+    monkeypatch.setitem(sys.modules, "tapnet", None)
+    with pytest.raises(ImportError, match=r"code Apache-2\.0, weights CC-BY 4\.0"):
+        tracker("tapir").tracks(shown, masks, starts)
+    monkeypatch.setitem(sys.modules, "tapnet", types.ModuleType("tapnet"))
+    monkeypatch.setitem(sys.modules, "tapnet.torch", module)
+    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", _no_network)
+    with pytest.raises(ImportError, match=r"weights \(CC-BY 4\.0\), fetched once from https://storage"):
+        tracker("tapir").tracks(shown, masks, starts)
+    monkeypatch.setattr(torch.hub, "load_state_dict_from_url", lambda url, map_location, weights_only: {})
+    found = tracker("tapir").tracks(shown, masks, starts)
+    assert np.allclose(found.pixels[2], [[64, 50], [104, 55]], atol=1e-4) and found.hand.tolist() == [False, True]
+    assert found.visible.tolist() == [[True, False], [True, True], [False, True]]

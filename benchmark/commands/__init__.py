@@ -2,6 +2,7 @@
 
 from .build import Build
 from .calibrate import Calibrate
+from .capture import Capture
 from .check import Check
 from .compare import Compare
 from .concealed import Concealed
@@ -12,10 +13,13 @@ from .download import Download
 from .export import Export
 from .list import List
 from .picture import Picture
+from .plan import Plan
+from .play import Play
 from .real import Real
 from .run import Run
 from .score import Score
 from .table import Table
+from .video import Video
 
 __all__ = ["COMMANDS"]
 
@@ -31,9 +35,13 @@ COMMANDS = {
     "conform": Conform,
     "score": Score,
     "export": Export,
+    "play": Play,
+    "video": Video,
+    "capture": Capture,
     "build": Build,
     "calibrate": Calibrate,
     "diagnose": Diagnose,
+    "plan": Plan,
     "concealed": Concealed,
     "real": Real,
 }

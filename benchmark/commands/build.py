@@ -23,11 +23,13 @@ class Build:
     out: Annotated[Path, arg(metavar="CASE")]
     """Folder of the case, which is named like it; report.html in it says how good it is."""
     masks: str = "background"
-    """Model of masks: background or sam2."""
+    """Model of masks: background, sam2 or grounded-sam2, which finds what --object says."""
     tracks: str = "flow"
-    """Model of tracks: flow or cotracker."""
+    """Model of tracks: flow, cotracker or tapir."""
     shape: str = "hull"
     """What fills the body beside its tracked points: hull, what no camera sees through; or none."""
+    prior: Annotated[Path | None, arg(metavar="MESH")] = None
+    """A mesh of the object, of TRELLIS or a scanner, in any units and axes: it is brought into place and taken for the shape."""
     cameras: Names = ()
     """Only these cameras. Default: all."""
     prompts: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -47,7 +49,7 @@ class Build:
 
         prompts = read_prompts(self.prompts) if self.prompts else {}
         named = {name: getattr(self, name) for name in ("masks", "tracks", "shape", "cameras", "object", "self_collision")}
-        options = BuildOptions(**named, prompts=prompts)
+        options = BuildOptions(**named, prior=str(self.prior or ""), prompts=prompts)
         with Bar(f"build {self.out.name}") as bar:
             built = build(open_raw(self.raw), self.out, options, overwrite=self.overwrite, progress=bar)
         tracked, surface, interior = built.scenario.counts

@@ -9,6 +9,7 @@ from ..perception.hull import visual_hull
 from ..scenario import Camera, Scenario, Split
 from .fusing import fuse
 from .lifting import Filters, motion_agrees, not_alone, resampled
+from .prior import place_prior, read_mesh
 
 __all__ = ["assembled"]
 
@@ -16,7 +17,7 @@ FEW = 20  # points with which a body can be followed at all
 
 
 def assembled(name, recording, timing, sights, options):
-    """The recording as one body and its hands, and the residual (T,) of the hands' rigid motion."""
+    """The recording as one body and its hands, the residual (T,) of the hands' rigid motion, and notes on its shape."""
     times = timing.times
     thing, hands = [], []
     for number, sight in enumerate(sights):
@@ -40,12 +41,7 @@ def assembled(name, recording, timing, sights, options):
     clouds = [np.concatenate([s.hand_at(t, lags[c, t], timing.fps) for c, s in enumerate(sights)]) for t in range(len(times))]
     clouds = [cloud[not_alone(cloud, Filters(alone=5))] for cloud in clouds]
     held = find_hands(hand_points, hand_known, clouds, points[0])
-    surface, interior = np.zeros((0, 3)), np.zeros((0, 3))
-    if options.shape == "hull":
-        cameras = tuple(Camera(c.intrinsics, c.camera_to_world, c.width, c.height) for c in recording.cameras)
-        first = [np.stack(parts) for parts in zip(*((s.object[0], s.hand_mask[0], s.depth) for s in sights), strict=True)]
-        hull = visual_hull(cameras, *first, points[0], ground)
-        surface, interior = hull.surface, hull.interior
+    surface, interior, notes = _shape(recording, sights, points[0], options)
     order = np.lexsort(points[0].T[::-1])  # published cases list their points by frame-0 coordinates
     points, visible, colors = points[:, order], body.visible[:, order], body.colors[:, order]
     scenario = Scenario(
@@ -66,7 +62,22 @@ def assembled(name, recording, timing, sights, options):
         cameras=tuple(Camera(c.intrinsics, c.camera_to_world, c.width, c.height) for c in recording.cameras),
         split=Split(max(int(options.train * len(times)), 2), len(times)),
     )
-    return scenario, held.residual
+    return scenario, held.residual, notes
+
+
+def _shape(recording, sights, tracked, options):
+    """Points of the body beside those that are ``tracked``, on its surface and inside, and what is to be said of them."""
+    if options.shape == "none" and not options.prior:
+        return np.zeros((0, 3)), np.zeros((0, 3)), []
+    cameras = tuple(Camera(c.intrinsics, c.camera_to_world, c.width, c.height) for c in recording.cameras)
+    first = [[getattr(s, what)[0] for s in sights] for what in ("object", "hand_mask")] + [[s.depth for s in sights]]
+    if not options.prior:
+        hull = visual_hull(cameras, *first, tracked, recording.ground)
+        return hull.surface, hull.interior, []
+    clouds = [s.cloud_at(0) for s in sights]
+    placed = place_prior(read_mesh(options.prior), cameras, *first, clouds, tracked, recording.ground, spacing=options.spacing)
+    said = f"the mesh lies {1000 * placed.final:.1f} mm from what was measured (median), {100 * placed.carved:.0f} % of it was seen through"
+    return placed.hull.surface, placed.hull.interior, [said]
 
 
 def _belongs(points, known, sights, filters):

@@ -14,7 +14,8 @@ from ..perception import Clip, Masks, Prompts, Tracks, masker, tracker
 from ..phystwin import write_case
 from ..scenario import Camera, Scenario
 from .assembling import assembled
-from .lifting import Filters
+from .lifting import Filters, to_points
+from .prior import read_mesh
 from .quality import Quality, measure_quality
 from .recording import RawRecording
 from .seeing import Sight, look
@@ -23,12 +24,15 @@ from .timing import Timing, measure_timing
 
 __all__ = ["BuildOptions", "Built", "build"]
 
+UNDER = 0.05  # m: a table that a board was calibrated on is flat to less
+
 
 @dataclass(frozen=True)
 class BuildOptions:
     """How a case is made.
 
     masks, tracks  names of models; ``shape`` is "hull", or "none": nothing but what was tracked
+    prior          file of a mesh of the object, in any units and axes, that is taken for its shape instead
     cameras        names of those that are used; all where there are none
     prompts        {camera name: Prompts}
     points         at most so many tracks of a camera, the object's; hands have a fifth
@@ -41,6 +45,7 @@ class BuildOptions:
     masks: str = "background"
     tracks: str = "flow"
     shape: str = "hull"
+    prior: str = ""
     cameras: tuple[str, ...] = ()
     prompts: dict[str, Prompts] = field(default_factory=dict)
     filters: Filters = field(default_factory=Filters)
@@ -53,6 +58,8 @@ class BuildOptions:
     def __post_init__(self):
         if self.shape not in ("hull", "none"):
             raise ValueError(f"shape must be hull or none, got {self.shape!r}")
+        if self.prior:
+            read_mesh(self.prior)  # refused now, not after minutes
         for name, low, high in (("points", 50, 20000), ("spacing", 0.001, 0.05), ("train", 0.1, 1.0)):
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} must lie in [{low}, {high}], got {getattr(self, name)}")
@@ -104,8 +111,9 @@ def build(
         filters = options.filters.scaled(raw.intrinsics[0, 0], 0.7)
         sights.append(stages.run(f"sight-{number}", Sight, lambda shown=shown, m=masks, t=tracks, f=filters: look(shown(), m, t, f)))
     progress("one body of all cameras", 0.9)
-    scenario, residual = assembled(out.name, recording, timing, sights, options)
+    scenario, residual, notes = assembled(out.name, recording, timing, sights, options)
     quality = measure_quality(recording, timing, sights, scenario, residual, options)
+    quality = replace(quality, warnings=(*quality.warnings, *notes))
     progress("files", 0.95)
     _write(out, scenario, recording, timing, sights, overwrite)
     from .report import write_report
@@ -129,7 +137,7 @@ def _chosen(recording, options):
 
 
 def _clip(recording, raw, frames, options):
-    empty = raw.frames.background()
+    empty, prompts = raw.frames.background(), options.prompts.get(raw.name, Prompts())
     return Clip(
         raw.name,
         np.stack([raw.frames.color(int(t)) for t in frames]),
@@ -137,7 +145,7 @@ def _clip(recording, raw, frames, options):
         Camera(raw.intrinsics, raw.camera_to_world, raw.width, raw.height),
         recording.ground,
         None if empty is None else (empty[0], (empty[1] * raw.depth_unit).astype(np.float32)),
-        options.prompts.get(raw.name, Prompts()),
+        prompts if prompts.text else replace(prompts, text=options.object),
     )
 
 
@@ -151,7 +159,26 @@ def _masked(shown, say, options):
         raise ValueError(
             f"camera {clip.name}: depth must be 0.1 to 10 metres, got a median of {middle:.4g} in frame 0: is depth_unit right?"
         )
-    return masker(options.masks).masks(clip)
+    _check_table(clip)
+    found = masker(options.masks).masks(clip)
+    if not found.object[0].any():
+        there = int(found.object.any((1, 2)).sum())
+        what = f"the mask of the object is empty in frame 0 ({options.masks}), of {len(found.object)} frames in {there} it is not"
+        raise ValueError(f"camera {clip.name}: {what}: leave the camera out by --cameras, or point at the object by --prompts")
+    return found
+
+
+def _check_table(clip):
+    """Nobody sees through a table: what lies under it says that pose, depth unit or table are wrong."""
+    if clip.ground is None:
+        return
+    if (above := float(clip.ground.height(clip.camera.camera_to_world[:3, 3]))) <= 0:
+        raise ValueError(f"camera {clip.name}: must stand above the table, got {above:.3f} m: is its pose upside down?")
+    rows, columns = np.nonzero(clip.depths[0])
+    heights = clip.ground.height(to_points(clip.camera, np.stack([columns, rows], 1).astype(float), clip.depths[0][rows, columns]))
+    if (share := float((heights < -UNDER).mean())) > 0.5:
+        rule = f"at most half of what it measured in frame 0 may lie {1000 * UNDER:g} mm or more under the table"
+        raise ValueError(f"camera {clip.name}: {rule}, got {100 * share:.0f} %: is it calibrated, the right way up, and depth_unit right?")
 
 
 def _tracked(shown, masks, say, options):
@@ -176,12 +203,18 @@ def _write(out, scenario, recording, timing, sights, overwrite):
     write_case(
         out,
         scenario,
-        color=[(raw.frames.color(int(t)) for t in taken) for raw, taken in frames],
-        depth=[(raw.metres(int(t)) for t in taken) for raw, taken in frames],
+        color=[_each(raw.frames.color, taken) for raw, taken in frames],
+        depth=[_each(raw.metres, taken) for raw, taken in frames],
         masks=[sight.object for sight in sights],
         hand_masks=[sight.hand_mask for sight in sights],
         overwrite=overwrite,
     )
+
+
+def _each(picture, frames):
+    """One picture after another; a camera's own, as a generator in a list would ask the list's last camera."""
+    for t in frames:
+        yield picture(int(t))
 
 
 def _key(recording, options):

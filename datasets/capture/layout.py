@@ -8,43 +8,48 @@
         "color": "left/color/{}.png", "depth": "left/depth/{}.png",   {} is the number of the frame, with zeros before it or without
         "stamps": [0.0, 0.0333, ...],                 seconds, one for each frame; or, where nobody wrote them down, "fps": 30
         "arrivals": [...],                            seconds in the computer's clock, or left out
-        "background": ["left/empty.png", "left/empty_depth.png"]      of the empty scene, or left out
+        "background": ["left/empty.png", "left/empty_depth.png"],     of the empty scene, or left out
+        "depth_size": [256, 192],                     of depth that shows what colour shows in fewer pixels, as phones', or left out
+        "distortion": [k1, k2, p1, p2, k3]            OpenCV's 4, 5 or 8 of colour and depth, which are undistorted, or left out
     }}}
 
 Colour is PNG or JPEG, or one video file (then without {}); depth is 16-bit PNG, or .npy of integers. Frames are counted from the lowest
-number that is there. A folder of PNGs of another program needs no copy: its ``recording.json`` says where they are.
+number that is there. A folder of PNGs of another program needs no copy: its ``recording.json``, or ``recording.yaml``, says where they are.
 """
 
 from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..files import read_json
 from ..findings import shown
+from ..rules import MAX_PIXELS
 from ..scenario import Plane
-from ..temporary import replacing, scratch
+from ..temporary import scratch
+from .manifest import MANIFEST, manifest, read_manifest, write_manifest
 from .pictures import PictureFiles, write_color, write_depth
 from .recording import RawCamera, RawRecording
+from .undistorting import Undistorted
 
 __all__ = ["MANIFEST", "put_poses", "read_layout", "write_layout"]
 
-MANIFEST = "recording.json"
 _NEEDED = {"size", "intrinsics", "depth_unit", "color", "depth"}
-_KEYS = _NEEDED | {"camera_to_world", "stamps", "fps", "arrivals", "background"}
+_KEYS = _NEEDED | {"camera_to_world", "stamps", "fps", "arrivals", "background", "depth_size", "distortion"}
 
 
 def read_layout(folder: str | Path) -> RawRecording:
-    """The recording that ``folder / recording.json`` describes. Pictures are opened when asked for; that they are there is checked now.
+    """The recording that ``recording.json`` or ``recording.yaml`` in ``folder`` describes.
 
+    Pictures are opened when asked for; that they are there is checked now.
     Raises ValueError naming the file, the camera, the field, the rule and the value.
     """
     folder = Path(folder)
-    file = folder / MANIFEST
-    about = read_json(file)
+    file = manifest(folder) or folder / MANIFEST
+    about = read_manifest(file)
     cameras = about.get("cameras")
     if not {"cameras"} <= set(about) <= {"cameras", "gravity", "ground"} or not isinstance(cameras, dict) or not cameras:
         raise ValueError(f"{file}: must hold cameras, one or more by name, and may hold gravity and ground, got {shown(about)}")
@@ -80,9 +85,10 @@ def _camera(folder, name, entry):
     stamps, fps = entry.get("stamps"), entry.get("fps")
     if (stamps is None) == (fps is None):
         raise ValueError(f"camera {name} must have either stamps or fps, got {'neither' if fps is None else 'both'}")
-    size = entry["size"]
-    if not (isinstance(size, list) and len(size) == 2 and all(type(n) is int for n in size)):
-        raise ValueError(f"size of camera {name} must be [width, height], got {shown(size)}")
+    size, depth_size = entry["size"], entry.get("depth_size")
+    for key, value in (("size", size), ("depth_size", size if depth_size is None else depth_size)):
+        if not (isinstance(value, list) and len(value) == 2 and all(type(n) is int and 0 < n <= MAX_PIXELS for n in value)):
+            raise ValueError(f"{key} of camera {name} must be [width, height], got {shown(value)}")
     for key in ("color", "depth"):
         _check_inside(name, key, entry[key])
     background = entry.get("background")
@@ -91,7 +97,7 @@ def _camera(folder, name, entry):
             raise ValueError(f"background of camera {name} must be a colour and a depth file, got {shown(background)}")
         for one in background:
             _check_inside(name, "background", one)
-    frames = PictureFiles(folder, name, entry["color"], entry["depth"], tuple(size), background)
+    frames = PictureFiles(folder, name, entry["color"], entry["depth"], tuple(size), background, depth_size and tuple(depth_size))
     if stamps is None:
         if type(fps) not in (int, float) or not 0 < fps <= 1000:
             raise ValueError(f"fps of camera {name} must be a number in (0, 1000], got {shown(fps)}")
@@ -108,7 +114,8 @@ def _camera(folder, name, entry):
     )
     if len(frames) != camera.frame_count:
         raise ValueError(f"stamps of camera {name} must be one for each of {len(frames)} pictures, got {camera.frame_count}")
-    return camera
+    bent = entry.get("distortion")
+    return camera if bent is None else replace(camera, frames=Undistorted.of(camera, bent))
 
 
 def _check_inside(camera, key, pattern):
@@ -150,15 +157,14 @@ def put_poses(folder: str | Path, poses: dict[str, np.ndarray], world: RawRecord
 
     Raises ValueError naming the file where it is no recording, or the cameras are not the same.
     """
-    file = Path(folder) / MANIFEST
     read_layout(folder)
-    about = read_json(file)
+    file = manifest(Path(folder))
+    about = read_manifest(file)
     if set(about["cameras"]) != set(poses):
         raise ValueError(f"{file}: must have the cameras that were calibrated, {sorted(poses)}, got {sorted(about['cameras'])}")
     for name, pose in poses.items():
         about["cameras"][name]["camera_to_world"] = np.asarray(pose).tolist()
-    with replacing(file) as temporary:
-        temporary.write_text(json.dumps(about | _said(world)), encoding="utf-8")
+    write_manifest(file, about | _said(world))
 
 
 def _write_camera(folder, camera):

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from .clouds import is_clouds, read_clouds
-from .layout import MANIFEST, read_layout
+from .layout import read_layout
+from .manifest import NAMES, manifest
 from .phystwin_raw import is_phystwin_raw, read_phystwin_raw
 from .realsense import SUFFIXES, read_realsense
 from .recording import RawRecording
@@ -23,7 +24,7 @@ def open_raw(path: str | Path) -> RawRecording:
         raise ValueError(f"{path}: no such recording")
     if path.is_file():
         return read_realsense([path])
-    if (path / MANIFEST).exists():
+    if manifest(path):
         return read_layout(path)
     if is_phystwin_raw(path):
         return read_phystwin_raw(path)
@@ -31,5 +32,5 @@ def open_raw(path: str | Path) -> RawRecording:
         return read_clouds(path)
     if files := sorted(file for file in path.iterdir() if file.suffix in SUFFIXES):
         return read_realsense(files)
-    looked = f"{MANIFEST}, or color, depth, calibrate.pkl and metadata.json, or {' or '.join(SUFFIXES)} files, or clouds of diffcloud"
+    looked = f"{' or '.join(NAMES[:2])}, color, depth, calibrate.pkl and metadata.json, or {files}"
     raise ValueError(f"{path}: not a raw recording; it must have {looked}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from ..files import check_file, read_bytes
 from ..pictures import read_depth, read_png, write_png
 
-__all__ = ["Held", "PictureFiles", "Video", "read_depth_png", "write_color", "write_depth"]
+__all__ = ["Held", "PictureFiles", "Spooled", "Video", "read_depth_png", "write_color", "write_depth"]
 
 _VIDEOS = {".mp4", ".mkv", ".avi", ".mov", ".webm"}
 _COLORS, _DEPTHS = {".png", ".jpg", ".jpeg"}, {".png", ".npy"}
@@ -32,15 +33,53 @@ class Held:
         return self.empty
 
 
+class Spooled:
+    """Pictures of one camera in a temporary file without a name: a recording need not fit into memory. All have one size."""
+
+    def __init__(self):
+        self._files = (tempfile.TemporaryFile(), tempfile.TemporaryFile())  # noqa: SIM115 - open as long as this lives
+        self._shapes, self._order = None, None
+
+    def append(self, color: np.ndarray, depth: np.ndarray) -> None:
+        """``color`` (H, W, 3) uint8 RGB, ``depth`` (H, W) uint16 of the next frame."""
+        self._shapes = self._shapes or (color.shape, depth.shape)
+        if (color.shape, depth.shape) != self._shapes:
+            raise ValueError(f"pictures must all have one size, got {self._shapes} and {(color.shape, depth.shape)}")
+        for file, picture in zip(self._files, (color, depth), strict=True):
+            file.write(np.ascontiguousarray(picture))
+
+    def taken(self, order) -> Spooled:
+        """This one, with the frames numbered as ``order`` (T,) of the frames that were appended says."""
+        self._order = [int(t) for t in order]
+        for file in self._files:
+            file.flush()
+        return self
+
+    def color(self, frame):
+        return self._read(0, frame, np.uint8)
+
+    def depth(self, frame):
+        return self._read(1, frame, np.uint16)
+
+    def background(self):
+        return None
+
+    def _read(self, which, frame, kind):
+        shape, number = self._shapes[which], self._order[frame]
+        count = int(np.prod(shape))
+        start = number * count * np.dtype(kind).itemsize
+        return np.memmap(self._files[which], kind, "r", start, shape).copy()
+
+
 class PictureFiles:
-    """The pictures of one camera in files below ``folder``; ``color`` and ``depth`` are as in ``recording.json``.
+    """The pictures of one camera in files below ``folder``; ``color``, ``depth``, ``depth_size`` are as in ``recording.json``.
 
     Raises ValueError naming the files where none is there, numbers are missing between the first and the last, or colour and depth have
     other numbers of frames.
     """
 
-    def __init__(self, folder: Path, camera: str, color: str, depth: str, size: tuple[int, int], background=None):
-        self._size, self._camera = size, camera
+    def __init__(self, folder: Path, camera: str, color: str, depth: str, size: tuple[int, int], background=None, depth_size=None):
+        self._size, self._camera, self._depth_size = size, camera, depth_size or size
         self._video = None
         if "{}" not in color:
             self._video = Video(folder / color)
@@ -60,17 +99,26 @@ class PictureFiles:
         return self._sized(_read_color(self._colors[frame]), self._colors[frame])
 
     def depth(self, frame):
-        return self._sized(_read_depth(self._depths[frame]), self._depths[frame])
+        return self._spread(_read_depth(self._depths[frame]), self._depths[frame])
 
     def background(self):
         if not self._background:
             return None
         color, depth = self._background
-        return self._sized(_read_color(color), color), self._sized(_read_depth(depth), depth)
+        return self._sized(_read_color(color), color), self._spread(_read_depth(depth), depth)
 
-    def _sized(self, picture, where):
-        if picture.shape[1::-1] != self._size:
-            rule = f"pictures of camera {self._camera} must be {self._size[0]} x {self._size[1]} pixels"
+    def _spread(self, depth, where):
+        """Depth in colour's pixels: of the nearest of its own, as a mean of two depths is nowhere."""
+        depth = self._sized(depth, where, self._depth_size)
+        if self._depth_size == self._size:
+            return depth
+        rows, columns = ((np.arange(n) + 0.5) * m / n for n, m in zip(self._size[::-1], depth.shape, strict=True))
+        return depth[rows.astype(int)[:, None], columns.astype(int)]
+
+    def _sized(self, picture, where, size=None):
+        size = size or self._size
+        if picture.shape[1::-1] != size:
+            rule = f"pictures of camera {self._camera} must be {size[0]} x {size[1]} pixels"
             raise ValueError(f"{where}: {rule}, got {picture.shape[1]} x {picture.shape[0]}")
         return picture
 

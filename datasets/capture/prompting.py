@@ -18,8 +18,10 @@ def read_prompts(file: str | Path) -> dict[str, Prompts]:
 
 
 def _prompts(file, camera, given):
-    if not isinstance(given, dict) or not set(given) <= {"box", "object", "hand"}:
-        raise ValueError(f"{file}: camera {camera} must have box, object or hand, got {shown(given)}")
+    if not isinstance(given, dict) or not set(given) <= {"box", "object", "hand", "text"}:
+        raise ValueError(f"{file}: camera {camera} must have box, object, hand or text, got {shown(given)}")
+    if not isinstance(given.get("text", ""), str):
+        raise ValueError(f"{file}: text of camera {camera} must say what the object is, got {shown(given['text'])}")
     box = given.get("box")
     if box is not None and not (_pixels(box, 4) and box[0] < box[2] and box[1] < box[3]):
         raise ValueError(f"{file}: the box of camera {camera} must be [left, top, right, bottom] pixels, got {shown(box)}")
@@ -28,7 +30,7 @@ def _prompts(file, camera, given):
         if not isinstance(clicks, list) or not all(_pixels(click, 2) for click in clicks):
             raise ValueError(f"{file}: {kind} of camera {camera} must be pixels [[x, y], ...], got {shown(clicks)}")
     clicked = {kind: tuple(map(tuple, given.get(kind, []))) for kind in ("object", "hand")}
-    return Prompts(None if box is None else tuple(box), **clicked)
+    return Prompts(None if box is None else tuple(box), **clicked, text=given.get("text", ""))
 
 
 def _pixels(values, count):

@@ -126,7 +126,7 @@ def _about_setup(recording, options):
         yield "two cameras: what both do not see was never measured"
     if all(raw.frames.background() is None for raw in recording.cameras):
         yield "no picture of the empty scene: masks are by depth alone where the object lies flat"
-    if options.shape == "none":
+    if options.shape == "none" and not options.prior:
         yield "no shape: nothing but tracked points, so that solids have no inside"
     yield "nobody annotated tracks: track_error cannot be scored"
 

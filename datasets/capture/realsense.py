@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import check_file
-from .pictures import Held
+from ..files import check_file, read_json
+from .pictures import Spooled
 from .recording import RawCamera, RawRecording
 
-__all__ = ["SUFFIXES", "imported", "read_realsense"]
+__all__ = ["ARRIVALS", "SUFFIXES", "imported", "read_realsense"]
 
 SUFFIXES = (".db3", ".bag")
+ARRIVALS = ".arrivals.json"  # beside a file: stamps of its colour frames, and when they came [s]
 WAIT = 2000  # ms for a frame of a file, which is there or never comes
 
 
@@ -26,9 +27,10 @@ def imported():
 
 
 def read_realsense(files) -> RawRecording:
-    """One file for each camera, which is named like it. Depth is taken to colour's pixels where they differ; it has no extrinsics yet.
+    """One file for each camera, which is named like it and has no pose yet. Depth is taken to colour's pixels where they differ.
 
-    Pictures are held in memory: 1.2 MB for a frame of 424 x 240. Raises ValueError naming the file, ImportError without pyrealsense2.
+    Pictures are kept in temporary files: 2 MB for a frame of 848 x 480. Raises ValueError naming the file, ImportError without
+    pyrealsense2.
     """
     files = [Path(file) for file in files]
     for file in files:
@@ -48,7 +50,7 @@ def _camera(rs, file):
     try:
         profile.get_device().as_playback().set_real_time(False)
         align = _alignment(rs, file, profile)
-        taken = []
+        stamps, spool, unit = [], Spooled(), None
         while True:
             good, frames = pipeline.try_wait_for_frames(WAIT)
             if not good:
@@ -57,16 +59,32 @@ def _camera(rs, file):
             depth, color = frames.get_depth_frame(), frames.get_color_frame()
             if depth and color:
                 unit = float(depth.get_units())
-                taken.append((color.get_timestamp() / 1000, _rgb(rs, file, color), np.array(depth.get_data(), np.uint16)))
+                stamps.append(color.get_timestamp() / 1000)
+                spool.append(_rgb(rs, file, color), np.array(depth.get_data(), np.uint16))
         intrinsics = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
     finally:
         pipeline.stop()
-    if not taken:
+    if not stamps:
         raise ValueError(f"{file}: must hold frames of colour and depth together, got none")
-    taken = _once(taken)
+    stamps, order = np.unique(stamps, return_index=True)  # rising; a frameset in which nothing of colour is new is left out
     k = [[intrinsics.fx, 0, intrinsics.ppx], [0, intrinsics.fy, intrinsics.ppy], [0, 0, 1]]
-    stamps, colors, depths = zip(*taken, strict=True)
-    return RawCamera(file.stem, k, None, intrinsics.width, intrinsics.height, list(stamps), unit, Held(colors, depths))
+    size = (intrinsics.width, intrinsics.height)
+    return RawCamera(file.stem, k, None, *size, stamps, unit, spool.taken(order), _arrivals(file, stamps))
+
+
+def _arrivals(file, stamps):
+    """When frames with these ``stamps`` came, by the file of arrivals, or None: between two that were written down, as clocks run."""
+    beside = file.with_suffix(ARRIVALS)
+    if not beside.exists():
+        return None
+    about = read_json(beside)
+    try:
+        known, came = (np.array(about[key], float) for key in ("stamps", "arrivals"))
+        if known.shape != came.shape or known.ndim != 1 or len(known) < 2 or not (np.diff(known) > 0).all() or not np.isfinite(came).all():
+            raise ValueError
+    except (KeyError, TypeError, ValueError):
+        raise ValueError(f"{beside}: must hold stamps, rising, and as many arrivals, two or more [s]") from None
+    return np.maximum.accumulate(np.interp(stamps, known, came) + 1e-9 * np.arange(len(stamps)))
 
 
 def _alignment(rs, file, profile):
@@ -88,9 +106,3 @@ def _rgb(rs, file, frame):
     if kind == rs.format.bgr8:
         return np.ascontiguousarray(data[..., ::-1])
     raise ValueError(f"{file}: colour must be rgb8 or bgr8, got {kind.name}")
-
-
-def _once(taken):
-    """Framesets in the order of their stamps; one in which nothing of colour is new is left out."""
-    taken = sorted(taken, key=lambda one: one[0])
-    return [one for k, one in enumerate(taken) if k == 0 or one[0] > taken[k - 1][0]]

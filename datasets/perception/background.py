@@ -42,7 +42,12 @@ class BackgroundMasks(Masker):
         empty = None if clip.empty is None else _lab(clip.empty[0])
         standing = [self._standing(clip, t, empty) for t in range(len(clip.colors))]
         if standing[0].sum() < self.least:
-            raise ValueError(f"camera {clip.name}: nothing stands on the table in frame 0 ({int(standing[0].sum())} pixels)")
+            said = f"nothing stands on the table in frame 0 ({int(standing[0].sum())} pixels)"
+            within = ((clip.depths[0] > self.near) & (clip.depths[0] < self.far)).mean()
+            raise ValueError(
+                f"camera {clip.name}: {said}"
+                + (f"; {100 * within:.0f} % of it are {self.near} to {self.far} m away: is depth_unit right?" if within < 0.2 else "")
+            )
         if (share := standing[0].sum() / max((clip.depths[0] > 0).sum(), 1)) > self.most:
             rule = f"at most {100 * self.most:.0f} % of what has depth may stand on the table in frame 0"
             raise ValueError(f"camera {clip.name}: {rule}, got {100 * share:.0f} %: is its pose upside down, or the table another?")

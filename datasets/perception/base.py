@@ -15,11 +15,15 @@ __all__ = ["Clip", "Masker", "Masks", "Prompts", "Tracker", "Tracks"]
 
 @dataclass(frozen=True)
 class Prompts:
-    """What somebody pointed at in frame 0 of one camera, in pixels (column, row): a box around the object, points on it and on hands."""
+    """What somebody pointed at in frame 0 of one camera, in pixels (column, row): a box around the object, points on it and on hands.
+
+    ``text`` says what the object is, for models that read.
+    """
 
     box: tuple[int, int, int, int] | None = None  # left, top, right, bottom
     object: tuple[tuple[int, int], ...] = ()
     hand: tuple[tuple[int, int], ...] = ()
+    text: str = ""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from .base import Clip, Masks, Tracker, Tracks
 
-__all__ = ["FlowTracks", "at_pixels"]
+__all__ = ["FlowTracks", "at_pixels", "within_masks"]
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,14 @@ def at_pixels(mask, pixels):
     height, width = mask.shape
     inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
     return np.where(inside, mask[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], 0)
+
+
+def within_masks(pixels, visible, masks: Masks, starts) -> Tracks:
+    """Tracks (T, P, 2) that a model found from ``starts`` (P, 2), visible only inside of the mask of what they started on."""
+    hand, inside = at_pixels(masks.hand[0], starts) > 0, np.zeros(visible.shape, bool)
+    for t in range(len(pixels)):
+        inside[t] = np.where(hand, at_pixels(masks.hand[t], pixels[t]), at_pixels(masks.object[t], pixels[t])) > 0
+    return Tracks(pixels, visible & inside, hand)
 
 
 def _looks(color, pixels):

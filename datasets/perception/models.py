@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from .base import Clip, Masker, Masks, Tracker, Tracks
+from .flow import within_masks
 
 __all__ = ["CoTracker", "Sam2"]
 
@@ -26,6 +27,13 @@ class Sam2(Masker):
         prompts = clip.prompts
         if prompts.box is None and not prompts.object:
             raise ValueError(f"camera {clip.name}: sam2 needs a box around the object or clicks on it, got none")
+        what = _clicks(prompts.object)
+        if prompts.box is not None:
+            what["box"] = np.array(prompts.box, np.float32)
+        return self.propagated(clip, what, [_clicks(prompts.hand)] if prompts.hand else [])
+
+    def propagated(self, clip: Clip, thing: dict, hands: list[dict]) -> Masks:
+        """Masks of all frames from prompts in frame 0: points with labels, or a box, of the object and of each hand."""
         try:
             from sam2.sam2_video_predictor import SAM2VideoPredictor
         except ImportError as error:
@@ -33,20 +41,17 @@ class Sam2(Masker):
                 f"masks by sam2 need SAM 2 (Apache-2.0): pip install sam2, github.com/facebookresearch/sam2 ({error})"
             ) from error
         predictor = SAM2VideoPredictor.from_pretrained(self.weights, device=self.device)
-        found = {1: np.zeros(clip.depths.shape, bool), 2: np.zeros(clip.depths.shape, bool)}
+        found = np.zeros((1 + len(hands), *clip.depths.shape), bool)
         with tempfile.TemporaryDirectory() as folder:
             _as_jpegs(Path(folder), clip.colors)
             state = predictor.init_state(video_path=folder)
-            what = _clicks(prompts.object)
-            if prompts.box is not None:
-                what["box"] = np.array(prompts.box, np.float32)
-            predictor.add_new_points_or_box(inference_state=state, frame_idx=0, obj_id=1, **what)
-            if prompts.hand:
-                predictor.add_new_points_or_box(inference_state=state, frame_idx=0, obj_id=2, **_clicks(prompts.hand))
+            for number, what in enumerate((thing, *hands)):
+                predictor.add_new_points_or_box(inference_state=state, frame_idx=0, obj_id=1 + number, **what)
             for frame, ids, logits in predictor.propagate_in_video(state):
                 for one, logit in zip(ids, logits, strict=True):
-                    found[int(one)][frame] = (logit[0] > 0).cpu().numpy()
-        return Masks(found[1] & ~found[2], found[2])
+                    found[int(one) - 1, frame] = (logit[0] > 0).cpu().numpy()
+        hand = found[1:].any(0)
+        return Masks(found[0] & ~hand, hand)
 
 
 def _clicks(points):
@@ -73,8 +78,6 @@ class CoTracker(Tracker):
     def tracks(self, clip: Clip, masks: Masks, starts: np.ndarray) -> Tracks:
         import torch
 
-        from .flow import at_pixels
-
         try:
             model = torch.hub.load(self.repository, self.model, trust_repo=True, verbose=False).to(self.device)
         except Exception as error:  # no network, no cache, another layout of the repository: torch.hub raises many kinds
@@ -88,8 +91,4 @@ class CoTracker(Tracker):
         with torch.no_grad():
             pixels, visible = model(video, queries=queries)
         pixels, visible = pixels[0].cpu().numpy().astype(float), visible[0].cpu().numpy() > 0.5
-        hand = at_pixels(masks.hand[0], starts) > 0
-        for t in range(len(pixels)):
-            own = np.where(hand, at_pixels(masks.hand[t], pixels[t]), at_pixels(masks.object[t], pixels[t]))
-            visible[t] &= own > 0
-        return Tracks(pixels, visible, hand)
+        return within_masks(pixels, visible, masks, starts)

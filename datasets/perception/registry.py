@@ -6,19 +6,21 @@ from ..collection import nearest
 from .background import BackgroundMasks
 from .base import Masker, Tracker
 from .flow import FlowTracks
+from .grounded import GroundedSam2
 from .models import CoTracker, Sam2
+from .tapir import Tapir
 
 __all__ = ["masker", "maskers", "tracker", "trackers"]
 
 
 def maskers() -> dict[str, type[Masker]]:
     """All there are; the first is the default."""
-    return {one.name: one for one in (BackgroundMasks, Sam2)}
+    return {one.name: one for one in (BackgroundMasks, Sam2, GroundedSam2)}
 
 
 def trackers() -> dict[str, type[Tracker]]:
     """All there are; the first is the default."""
-    return {one.name: one for one in (FlowTracks, CoTracker)}
+    return {one.name: one for one in (FlowTracks, CoTracker, Tapir)}
 
 
 def masker(name: str) -> Masker:

@@ -1,0 +1,89 @@
+"""Model predictive path integral control (Williams et al. 2017), one plan, and random shooting of equal cost beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .config import PlanConfig
+
+__all__ = ["OPTIMISERS", "Found", "coloured", "mppi", "shooting", "softmax"]
+
+Cost = Callable[[np.ndarray], np.ndarray]  # way points (B, K, H, 3) -> (B,), infinite where a roll-out diverged
+Project = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Found:
+    """``ways`` (K, H, 3) m, the best that was simulated, and its ``cost``; ``best`` the least cost after each update."""
+
+    ways: np.ndarray
+    cost: float
+    best: tuple[float, ...]
+
+
+def softmax(costs: np.ndarray, temperature: float) -> np.ndarray:
+    """(B,) weights exp(-(c - min c) / temperature) over their sum; 0 where a cost is infinite.
+
+    >>> softmax(np.array([0.0, 1.0, np.inf]), 1 / np.log(3)).round(6).tolist()
+    [0.75, 0.25, 0.0]
+    """
+    weights = np.exp(-(costs - costs.min()) / temperature)
+    return weights / weights.sum()
+
+
+def coloured(random: np.random.Generator, count: int, shape: tuple[int, int, int], colour: float) -> np.ndarray:
+    """(count, K, H, 3) sums over segments of velocities that are normal, of unit variance, and correlated by ``colour`` with the last."""
+    steps = random.standard_normal((count, *shape))
+    for k in range(1, shape[0]):
+        steps[:, k] = colour * steps[:, k - 1] + np.sqrt(1 - colour**2) * steps[:, k]
+    return steps.cumsum(1)
+
+
+def mppi(cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0) -> Found:
+    """The best of ``config.rollouts`` paths: each update draws about a mean, which then moves to their softmax mean.
+
+    The first sample of an update is its mean; the first mean is to hold still. ``step`` [m] is how far a hand gets in a segment.
+    Raises ValueError where every roll-out diverged.
+    """
+    random, mean, best, history = np.random.default_rng(seed), np.zeros((1, *shape)), (np.inf, None), []
+    for update in range(config.updates):
+        spread = config.noise * step * config.decay**update
+        noise = spread * coloured(random, config.samples - 1, shape, config.colour)
+        ways = np.concatenate([mean, project(mean + noise)])
+        costs = cost(ways)
+        best = _better(best, costs, ways)
+        history.append(float(best[0]))
+        if np.isfinite(costs).any():
+            scale = np.median(costs[np.isfinite(costs)]) - costs.min()
+            mean = np.einsum("b,bkhi->khi", softmax(costs, max(config.temperature * scale, 1e-12)), ways)[None]
+    return _found(best, history)
+
+
+def shooting(cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0) -> Found:
+    """The best of as many paths, all drawn as the first update of ``mppi`` draws them."""
+    random, best, history = np.random.default_rng(seed), (np.inf, None), []
+    for update in range(config.updates):
+        noise = config.noise * step * coloured(random, config.samples, shape, config.colour)
+        if not update:
+            noise[0] = 0  # to hold still
+        ways = project(noise)
+        best = _better(best, cost(ways), ways)
+        history.append(float(best[0]))
+    return _found(best, history)
+
+
+def _better(best, costs, ways):
+    k = int(np.argmin(costs))
+    return (costs[k], ways[k]) if costs[k] < best[0] else best
+
+
+def _found(best, history) -> Found:
+    if best[1] is None:
+        raise ValueError("every roll-out of the search diverged, with hands that hold still among them")
+    return Found(best[1], float(best[0]), tuple(history))
+
+
+OPTIMISERS = {"mppi": mppi, "shooting": shooting}

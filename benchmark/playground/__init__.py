@@ -1,0 +1,1 @@
+"""Twins that are simulated live, under hands that somebody moves: the core, the page in a browser, and films."""

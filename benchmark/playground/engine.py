@@ -1,0 +1,204 @@
+"""A system of the simulator stepped frame by frame, and the forces that act on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ...methods.base import Diverged
+from ...physics.batch import Batch, Carried, first_bad
+from ...physics.march import World
+from ...physics.system import System
+from .live import Forces, Live
+
+__all__ = ["EngineLive", "Moment"]
+
+RETRIES = 2  # times that a frame that blows up is tried again in substeps half as long
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The state in ``frame``: ``x``, ``v`` (nodes, 3), what is ``carried``, and ``row`` (P, 3) m, where driven nodes are."""
+
+    frame: int
+    x: torch.Tensor
+    v: torch.Tensor
+    carried: Carried
+    row: np.ndarray
+
+
+class EngineLive(Live):
+    """``batch`` of one system and the ``inputs`` of its march, whose path is what the controllers do.
+
+    Subclasses say how their controllers move the driven nodes (``row``), and where their particles are (``shown``).
+    """
+
+    batch: Batch
+    now: Moment
+
+    def begin(self, batch: Batch, inputs) -> None:
+        """Start at ``inputs``."""
+        self.batch, self.inputs = batch, inputs
+        carried = Carried(inputs.memory, inputs.directors, inputs.cell_memory, inputs.anchor)
+        self.now = Moment(0, inputs.x, inputs.v, carried, inputs.path[0].double().cpu().numpy())
+        self._before = self.now
+        # laws that remember, or are late, are told the time and all of the path; the others only where controllers are and will be
+        self._timed = batch.remembering or any(t.name == "controller_delay" for t, _ in batch.laws.stage("setup"))
+        self._rows = [self.now.row]
+
+    def go_on(self, batch: Batch, inputs) -> None:
+        """Go on from where it is with another batch of as many nodes."""
+        self.batch, self.inputs = batch, inputs
+
+    @property
+    def system(self) -> System:
+        return self.batch.systems[0]
+
+    @property
+    def substeps(self) -> int:
+        return int(self.batch.substeps[0])
+
+    @property
+    def frame(self) -> int:
+        return self.now.frame
+
+    def row(self, controllers) -> np.ndarray:
+        """(P, 3) m of the engine's path while controllers are at ``controllers`` (C, 3)."""
+        raise NotImplementedError
+
+    def shown(self, nodes: np.ndarray, controllers) -> np.ndarray:
+        """(M, 3) float32 m of the particles while the nodes are at ``nodes`` (N, 3)."""
+        raise NotImplementedError
+
+    def finer(self, times: int) -> Batch:
+        """The batch with ``times`` as many substeps."""
+        one = self.batch
+        return Batch(
+            [self.system], fps=one.fps, substeps=one.substeps * times, dt=one.dt / times, rounds=one.rounds, device=str(one.device)
+        )
+
+    def step(self, controllers):
+        controllers = np.asarray(controllers, float)
+        row, past = self.row(controllers), self._rows[: self.frame + 1]
+        for attempt in range(RETRIES + 1):
+            after = self._march(self.batch if not attempt else self.finer(2**attempt), past, row)
+            if after is not None:
+                break
+        else:
+            raise Diverged(
+                f"the simulation blew up in frame {self.frame + 1}, also in substeps {2**RETRIES} times as short", self.frame + 1
+            )
+        self.positions = self.shown(self.batch.split(after.x)[0].double().cpu().numpy(), controllers)
+        self._before, self.now = self.now, after
+        self._rows = [*past, row] if self._timed else [row]
+
+    def _march(self, batch, past, row) -> Moment | None:
+        now = self.now
+        rows = [*past, row] if self._timed else [now.row, row]
+        path = torch.tensor(np.stack(rows), dtype=batch.dtype, device=batch.device)
+        inputs = replace(self.inputs, path=path, x=now.x, v=now.v, **vars(now.carried))
+        with torch.no_grad():
+            out, x, v, carried = batch.march(now.frame if self._timed else 0, 1, inputs, whole=True)
+        if first_bad(batch.split(out)[0]) >= 0:
+            return None
+        changes = dict(memory=batch.remembering, directors=batch.hinged, cell_memory=batch.cells_remembering, anchor=batch.touching)
+        same = {name: getattr(now.carried, name) for name, change in changes.items() if not change}  # many moments are kept
+        return Moment(now.frame + 1, x, v, replace(carried, **same), row)
+
+    @property
+    def state(self):
+        return self.now, self._before, self.positions, tuple(self._rows)
+
+    @state.setter
+    def state(self, value):
+        self.now, self._before, self.positions, rows = value
+        self._rows = list(rows)
+
+    # ---------------------------------------------------------------- what it looks like
+
+    @property
+    def nodes(self):
+        return self.batch.split(self.now.x)[0].double().cpu().numpy()
+
+    # ---------------------------------------------------------------- forces
+
+    def forces(self) -> Forces:
+        """Of hands at this moment; of the ground at this moment where it is a force, and over the last frame where it is impulses."""
+        places, contact = self._touching() if self.batch.touching else self._bounced()
+        return Forces(self.hand_forces(), places, contact)
+
+    def hand_forces(self) -> np.ndarray:
+        """(C, 3) N on the body."""
+        raise NotImplementedError
+
+    def _numbers(self):
+        batch = self.batch
+        with torch.no_grad():
+            return batch.prepare(replace(self.inputs, x=self.now.x, v=self.now.v, path=self.inputs.path[:1]))
+
+    def values_of(self, term) -> dict[str, float]:
+        """A term's values in this batch's table."""
+        table = self.inputs.table[0].double().cpu().numpy()
+        return {name: float(table[self.batch.column(name)]) for name in term.values}
+
+    def points_now(self) -> tuple[np.ndarray, np.ndarray]:
+        """(P, 3) m and m/s of the material points."""
+        points, v = self.system.points, self.batch.split(self.now.v)[0].double().cpu().numpy()
+        return points.positions(self.nodes), points.positions(v)
+
+    def _touching(self):
+        """Each term's force law at each point of the skin that it acts on, after the bristles that the ground holds it by."""
+        x, v = self.points_now()
+        anchor, mass = self.now.carried.anchor.double().cpu().numpy(), self.batch.constants["carries"].double().cpu().numpy()
+        total = np.zeros_like(x)
+        for term in (t for t in self.system.terms if t.stage == "touch"):
+            values = self.values_of(term)
+            skin = np.flatnonzero(self.system.points.areas > 0)
+            for q in skin[_near(values, x[skin])]:
+                total[q] += term.twin(x[q], v[q], mass[q], anchor[q], *values.values())
+        met = np.flatnonzero(np.abs(total).max(1) > 0)
+        return x[met], total[met]
+
+    def _bounced(self):
+        """The last frame again with every substep kept: what the ground gave each node, on average over the frame."""
+        batch, before, count = self.batch, self._before, int(self.batch.substeps[0])
+        if before is self.now or not batch.laws.stage("move") or batch.easing:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        path = torch.tensor(np.stack([before.row, self.now.row]), dtype=batch.dtype, device=batch.device)
+        inputs = batch.prepare(replace(self.inputs, path=path, x=before.x, v=before.v, **vars(before.carried)))
+        values = {k: t.detach().contiguous() for k, t in vars(inputs).items()}
+        impulse = torch.zeros_like(before.x)
+        with torch.no_grad():
+            for world, substeps in _kept(batch, values, count):
+                free = world.tensors["met" if batch.colliding else "free"][:substeps]
+                impulse += (world.states[1 : substeps + 1, :, 4:7] - free).sum(0)
+        frame = float(batch.dt[0]) * count
+        own = batch.split(impulse * values["mass"][:, None] / frame)[0].double().cpu().numpy()
+        held = self.system.grips[self.system.grips >= 0]
+        own[held] = 0
+        met = np.flatnonzero(np.abs(own).max(1) > 0)
+        return self.nodes[met], own[met]
+
+
+def _near(values, x):
+    """Which of points (P, 3) are so near a plane of ``values`` that its law may act, all where they name none."""
+    plane = [next((v for name, v in values.items() if name.endswith(end)), None) for end in ("normal_x", "normal_y", "normal_z", "offset")]
+    return slice(None) if None in plane else np.flatnonzero(x @ np.array(plane[:3]) - plane[3] < 0)
+
+
+def _kept(batch, values, count):
+    """Worlds of a frame's stretches with all their states, and the substeps of each."""
+    from ...physics.contacts import seek
+    from ...physics.march import STATE
+
+    state, out = tuple(values[k] for k in STATE), torch.empty((1, *values["x"].shape), dtype=batch.dtype, device=batch.device)
+    near = None
+    for stretch in batch.stretches(1, history=True):
+        if batch.colliding and stretch.horizon is not None:
+            near = seek(batch, state[0], values["table"])()
+        world = World(batch, values, *state, near, None, stretch.history, out)
+        batch.forward(world, 0, stretch)
+        yield world, int(stretch.count[0])
+        state = world.end(stretch)
