@@ -11,6 +11,7 @@ import argparse
 import json
 import time
 from dataclasses import asdict, fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from ..methods.continuum.config import Config
 from ..methods.continuum.twin import ContinuumTwin
 from .opening import open_scenario
 from .solid_oracle import simulated
+from .studies import cases_of, study
 
 __all__ = ["case_row", "main", "pooled", "ranks", "scored"]
 
@@ -130,32 +132,30 @@ def ranks(answer: Answer, truth: str) -> tuple[float, float]:
     return tuple(float(names.index(truth) + 1) if truth in names else np.nan for names in (linear, full))
 
 
+def _printed(case, said):
+    print(f"{case}: {said}", flush=True)
+
+
 def main(arguments=None) -> None:
     import pandas as pd
 
     parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.concealed_inference", description=__doc__.split("\n")[0])
     parser.add_argument("set", help="folder of cases with labels.json")
     parser.add_argument("--cases", nargs="+", help="some of them")
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--members", type=int, default=DiagnosisConfig.members)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", help="folder in which fitted twins are kept, and looked for; with the arrays of their evidence")
     parser.add_argument("--out", help="CSV of all rows; cases that are in it are not diagnosed again")
     given = parser.parse_args(arguments)
-    labels = json.loads((Path(given.set) / "labels.json").read_text(encoding="utf-8"))
-    rows = pd.read_csv(given.out).to_dict("records") if given.out and Path(given.out).exists() else []
-    done = {(row["set"], row["case"]) for row in rows}
-    for case in given.cases or sorted(labels):
-        if (Path(given.set).name, case) in done:
-            continue
-        try:
-            options = dict(keep=given.keep, seed=given.seed, progress=lambda said, case=case: print(f"{case}: {said}", flush=True))
-            rows.append(case_row(given.set, case, DiagnosisConfig(members=given.members), **options))
-        except Exception as error:  # one case must not end the others
-            print(f"{case}: {type(error).__name__}: {error}", flush=True)
-            continue
-        print(json.dumps(rows[-1]), flush=True)
-        if given.out:
-            pd.DataFrame(rows).to_csv(given.out, index=False)
+    config = DiagnosisConfig(members=given.members)
+    work = {
+        (folder.name, case): partial(
+            case_row, str(folder), case, config, keep=given.keep, seed=given.seed, progress=partial(_printed, case)
+        )
+        for folder, case in cases_of([given.set], given.cases)
+    }
+    rows = study(work, ("set", "case"), jobs=given.jobs, out=given.out)
     table = pd.DataFrame(rows)
     if len(table):
         table["p_conformal"] = pooled(rows)

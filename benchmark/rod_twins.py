@@ -9,11 +9,10 @@ are of one take with an evaluation recording.
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import time
-from concurrent.futures import as_completed
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ import numpy as np
 from ..datasets.collection import open_collection
 from ..methods.base import Diverged
 from ..methods.continuum import Continuum
-from .processes import workers
+from .studies import study
 
 __all__ = ["coordinate_errors", "main", "rows_of"]
 
@@ -50,7 +49,9 @@ def rows_of(path: Path, *, split: str, preset: str, seed: int) -> list[dict]:
         moving, still = twin.retarget(scenario.initial()), twin.retarget(scenario.observed(1))
         errors = (*coordinate_errors(moving, scenario), *coordinate_errors(still, scenario))
         named = dict(zip(("all_mm", "free_mm", "still_all_mm", "still_free_mm"), (round(e, 3) for e in errors), strict=True))
-        rows.append(dict(cable=collection.name, seed=seed, recording=pair.target) | named | spent | dict(values=json.dumps(twin.values)))
+        rows.append(
+            dict(cable=path.resolve().name, seed=seed, recording=pair.target) | named | spent | dict(values=json.dumps(twin.values))
+        )
     return rows
 
 
@@ -75,19 +76,12 @@ def main(arguments=None) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="fits at a time, each in a process of its own")
     parser.add_argument("--out", type=Path, required=True)
     asked = parser.parse_args(arguments)
-    if asked.jobs < 1:
-        parser.error(f"--jobs must be at least 1, got {asked.jobs}")
-    asked.out.parent.mkdir(parents=True, exist_ok=True)
-    rows, options = [], dict(split=asked.split, preset=asked.preset)
-    with workers(asked.jobs) as pool:
-        waiting = [pool.submit(rows_of, path, seed=seed, **options) for seed in asked.seeds for path in asked.cables]
-        for one in as_completed(waiting):
-            rows += one.result()
-            with asked.out.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, rows[0])
-                writer.writeheader()
-                writer.writerows(sorted(rows, key=lambda row: (row["cable"], row["seed"])))
-            print(summary(one.result()), flush=True)
+    work = {
+        (path.resolve().name, seed): partial(rows_of, path, split=asked.split, preset=asked.preset, seed=seed)
+        for seed in asked.seeds
+        for path in asked.cables
+    }
+    study(work, ("cable", "seed"), jobs=asked.jobs, out=asked.out, say=summary)
 
 
 if __name__ == "__main__":

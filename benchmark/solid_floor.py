@@ -13,8 +13,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,7 @@ from ..methods.continuum.fitting import Steps, fit
 from ..methods.continuum.hands import hands_of
 from ..methods.continuum.unknowns import Unknown
 from .opening import open_scenario
+from .studies import cases_of, study
 
 __all__ = ["Felt", "felt", "main", "refitted"]
 
@@ -163,23 +164,10 @@ def main(arguments=None) -> None:
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--refine", type=int, default=2, help="how many times as fine the mesh of the truth is")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", help="CSV of all rows")
+    parser.add_argument("--out", help="CSV of all rows; cases that are in it are not done again")
     given = parser.parse_args(arguments)
-    rows = []
-    with ProcessPoolExecutor(given.jobs) as pool:
-        waiting = {}
-        for folder in given.sets:
-            labels = json.loads((Path(folder) / "labels.json").read_text(encoding="utf-8"))
-            waiting |= {pool.submit(case_row, folder, case, given.refine): (folder, case) for case in given.cases or sorted(labels)}
-        for future in as_completed(waiting):
-            try:
-                rows.append(future.result())
-            except Exception as error:  # one case must not end the others
-                print(*waiting[future], f"{type(error).__name__}: {error}", flush=True)
-                continue
-            print(json.dumps(rows[-1]), flush=True)
-            if given.out:
-                pd.DataFrame(rows).to_csv(given.out, index=False)
+    work = {(folder.name, case): partial(case_row, str(folder), case, given.refine) for folder, case in cases_of(given.sets, given.cases)}
+    rows = study(work, ("set", "case"), jobs=given.jobs, out=given.out)
     if rows:
         table = pd.DataFrame(rows)
         print(table.round(2).to_string(index=False))

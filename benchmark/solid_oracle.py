@@ -10,8 +10,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from ..methods.continuum.unknowns import Unknown
 from ..physics import terms
 from .opening import open_scenario
 from .solid_twins import errors
+from .studies import cases_of, study
 
 __all__ = ["main", "told"]
 
@@ -154,24 +155,10 @@ def main(arguments=None) -> None:
     parser.add_argument("set", help="folder of cases with labels.json and truth/")
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", help="CSV of all rows")
+    parser.add_argument("--out", help="CSV of all rows; cases that are in it are not done again")
     given = parser.parse_args(arguments)
-    labels = json.loads((Path(given.set) / "labels.json").read_text(encoding="utf-8"))
-    rows = []
-    with ProcessPoolExecutor(given.jobs) as pool:
-        waiting = {pool.submit(case_row, given.set, case): case for case in given.cases or sorted(labels)}
-        for future in as_completed(waiting):
-            try:
-                rows.append(future.result())
-            except KeyError as error:
-                print(f"{waiting[future]}: no term of a solid says {error}", flush=True)
-                continue
-            except Exception as error:  # one case must not end the others
-                print(f"{waiting[future]}: {type(error).__name__}: {error}", flush=True)
-                continue
-            print(json.dumps(rows[-1]), flush=True)
-            if given.out:
-                pd.DataFrame(rows).to_csv(given.out, index=False)
+    work = {(folder.name, case): partial(case_row, str(folder), case) for folder, case in cases_of([given.set], given.cases)}
+    rows = study(work, ("set", "case"), jobs=given.jobs, out=given.out)
     table = pd.DataFrame(rows)
     if len(table):
         names = [

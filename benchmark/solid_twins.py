@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..methods.base import Budget, Diverged
 from ..methods.registry import methods
 from .ablations import ABLATIONS
 from .opening import open_scenario
+from .studies import cases_of, study
 
 __all__ = ["errors", "main", "summary"]
 
@@ -102,6 +103,11 @@ def summary(rows) -> str:
     return "\n".join(lines)
 
 
+def _said(rows):
+    whole = (f"{row['of']} {row['error']:.2f}" for row in rows if row["part"] == "all")
+    return " ".join([rows[0]["set"], rows[0]["case"], rows[0]["method"], *whole])
+
+
 def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_twins", description=__doc__.split("\n")[0])
     parser.add_argument("sets", nargs="+", help="folders of cases with labels.json and truth/")
@@ -111,29 +117,16 @@ def main(arguments=None) -> None:
     parser.add_argument("--preset", default="quick", choices=["quick", "full"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", help="CSV of all rows")
+    parser.add_argument("--out", help="CSV of all rows; cases that are in it are not fitted again")
     parser.add_argument("--keep", help="folder in which twins are kept, and looked for")
     given = parser.parse_args(arguments)
-    known = {s: sorted(json.loads((Path(s) / "labels.json").read_text(encoding="utf-8"))) for s in given.sets}
     asked = dict.fromkeys([*given.methods, *(name for one in given.ablations for name in ABLATIONS[one].methods())])
-    jobs = [(s, case, m) for s in given.sets for case in given.cases or known[s] for m in asked]
-    rows = []
-    with ProcessPoolExecutor(given.jobs) as pool:
-        waiting = {pool.submit(case_rows, s, case, m, given.preset, given.seed, given.keep): (s, case, m) for s, case, m in jobs}
-        for future, job in waiting.items():
-            try:
-                rows += future.result()
-                print(
-                    *job,
-                    *(f"{row['of']} {row['error']:.2f}" for row in rows[-9:] if row["case"] == job[1] and row["part"] == "all"),
-                    flush=True,
-                )
-            except Exception as error:  # one case must not end the others
-                print(*job, f"{type(error).__name__}: {error}", flush=True)
-            if given.out:
-                import pandas as pd
-
-                pd.DataFrame(rows).to_csv(given.out, index=False)
+    work = {
+        (folder.name, case, method): partial(case_rows, str(folder), case, method, given.preset, given.seed, given.keep)
+        for folder, case in cases_of(given.sets, given.cases)
+        for method in asked
+    }
+    rows = study(work, ("set", "case", "method"), jobs=given.jobs, out=given.out, say=_said)
     print(summary(rows))
 
 

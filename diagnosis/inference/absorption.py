@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from .slopes import corrected
+
 __all__ = ["absorb"]
 
 Run = Callable[[np.ndarray], np.ndarray]
@@ -22,7 +24,7 @@ def absorb(runs, reference, slopes, sd, run: Run, bounds, *, rounds: int) -> tup
     bounds  ((n,), (n,)) least and largest shifts
 
     A round is one Gauss-Newton step of each, after which the reference is run; a step that is no better is not taken, and the next is
-    shorter. Slopes start as the shared ones, and each run's own are corrected by what its steps missed (Broyden 1965).
+    shorter. Slopes start as the shared ones, and each run's own are corrected by what its steps missed (``slopes``).
     """
     runs = np.asarray(runs, float)
     count, size = len(runs), slopes.shape[1]
@@ -36,8 +38,7 @@ def absorb(runs, reference, slopes, sd, run: Run, bounds, *, rounds: int) -> tup
         there = run(trial)
         better = _cost(runs - there, heard, trial) < _cost(runs - base, heard, at)
         for k in np.flatnonzero(better):
-            way = trial[k] - at[k]
-            ways[k] += np.outer(there[k] - base[k] - ways[k] @ way, way / (way @ way))
+            ways[k] = corrected(ways[k], trial[k] - at[k], there[k] - base[k])
         base, at = np.where(better[:, None], there, base), np.where(better[:, None], trial, at)
         reach = np.where(better, 1.0, SHORTER * reach)
     return runs - base, at

@@ -11,6 +11,7 @@ from ..config import DiagnosisConfig
 from .forward import Forward
 from .likelihood import Likelihood
 from .scan import Signature
+from .slopes import corrected
 
 __all__ = ["Gain", "Refit", "gained", "refitted"]
 
@@ -54,7 +55,7 @@ def refitted(
     """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
 
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
-    are the shared ones at first, corrected after each step by what it missed (Broyden 1965), and measured again after every
+    are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again after every
     ``config.refresh`` steps: an effect that moves a body by centimetres leads far from where the sound twin's fit ended.
     """
     count = slopes.shape[1]
@@ -82,10 +83,8 @@ def refitted(
         step = _step(at, jacobian, data, likelihood, rows, low, high)
         trials = np.clip(at.numbers + np.outer(TRIALS, step), low, high)
         found = min((place(t, p) for t, p in zip(trials, run(trials), strict=True)), key=lambda f: f.cost)
-        way = found.numbers - at.numbers
-        if np.isfinite(found.cost) and way @ way > 0:
-            missed = found.prediction - at.prediction - jacobian @ way
-            jacobian = jacobian + np.outer(missed, way / (way @ way))
+        if np.isfinite(found.cost):
+            jacobian = corrected(jacobian, found.numbers - at.numbers, found.prediction - at.prediction)
         gained, at = at.cost - found.cost, found if found.cost < at.cost else at
         if not gained > ARRIVED and k and k % config.refresh == 0:  # with fresh slopes no step helps any more
             break

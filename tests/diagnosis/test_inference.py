@@ -15,6 +15,7 @@ from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
 from twinbench.diagnosis.inference.refit import gained, refitted
 from twinbench.diagnosis.inference.scan import Signature, score
 from twinbench.diagnosis.inference.significance import conformal, predictive, significance
+from twinbench.diagnosis.inference.slopes import corrected
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
 SIZE = 3 * REGIONS * TIMES
@@ -261,6 +262,16 @@ def test_the_evidence_of_a_refit_is_that_of_the_linear_effect_where_all_is_norma
     found, sound = (refitted(*given, what, DiagnosisConfig()) for what in (one, None))
     linear = score(marginal, data - world.reference, one)
     assert found.log_evidence - sound.log_evidence == pytest.approx(linear.log_evidence, abs=1e-3)
+
+
+def test_slopes_are_corrected_by_steps_and_not_by_rounding():
+    # Broyden's secant: the corrected slopes say what the step did, and are as before across it
+    random = np.random.default_rng(2)
+    slopes, step, change = random.normal(size=(6, 3)), np.array([0.3, 0.0, -0.4]), random.normal(size=6)
+    found = corrected(slopes, step, change)
+    np.testing.assert_allclose(found @ step, change, atol=1e-12)
+    np.testing.assert_allclose(found @ [0.4, 0.0, 0.3], slopes @ [0.4, 0.0, 0.3], atol=1e-12)
+    assert corrected(slopes, 1e-9 * step, slopes @ (1e-9 * step) + 1e-7) is slopes  # of a refit that has arrived
 
 
 def test_gains_are_paired():
