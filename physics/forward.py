@@ -2,7 +2,8 @@
 
 import warp as wp
 
-from .cells import make_cells
+from .cell_lanes import abreast, make_lanes
+from .cells import make_cells, starts
 from .finding import lowest
 from .layers import make_layers
 from .native import barrier
@@ -91,6 +92,9 @@ def make_forward(kit):
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     meet, met_points = make_outside(kit) if pointed else (None, None)
     strain, drag, squeezed = make_cells(kit) if filled or easing else (None, None, None)
+    alone, vector = easing and half, abreast(8 if kit.R is wp.float64 else 4)
+    law_of, integrated, placed, damped = make_lanes(kit) if alone else (None, None, None, None)
+    contraction = starts(kit)[0] if alone else None
     bulk, swollen, press, pressed = make_skin(kit) if skinned else (None, None, None, None)
     bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
     get_x, get_v, put, find, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.find, kit.sum3, kit.sum4, kit.four
@@ -185,6 +189,14 @@ def make_forward(kit):
         # what the first round of every substep needs of the constants waits in registers: after a barrier they would be far away
         first0, last0, driver0, m0 = node(w, lo + lane // lanes, hi, lane % lanes, half)
         o0, rest0, stiffness0 = end(w, first0, last0)
+        if wp.static(alone):  # columns of a system end less than a vector beyond its last cell
+            lateral = contraction(p_solid)
+            law = law_of(p_viscous)
+            first_cell = w.cell_start[b]
+            last_cell = w.cell_start[b + 1]
+            columns = w.cell_rows.shape[1]
+            column = first_cell + b * vector
+            integrated(w.points, w.cell_rows, columns, column, first_cell, last_cell)
         round = int(1)
         barrier(w.counters, team, blocks, round)
         for k in range(w.count[b]):
@@ -297,9 +309,9 @@ def make_forward(kit):
                         f += draped(w, i)
                     if wp.static(layered and not half):
                         f += met_layers(w, wp.min(here, w.meeting.shape[0] - 1), i)
-                    if wp.static(pointed):
+                    if wp.static(pointed and not half):
                         f += met_points(w, i)
-                    else:
+                    elif wp.static(not pointed):
                         f += body(x, v, w.home[i], m, p_body)
                     if wp.static(watching):
                         y, u, weight = sighted(w, i, frame, step, substeps, dt)
@@ -341,7 +353,30 @@ def make_forward(kit):
                         put(w.state, there * w.nodes + i, x2, v2)
                 round += 1
                 barrier(w.counters, team, blocks, round)
-            if wp.static(easing):
+            if wp.static(alone):
+                placed(w.state, here * w.nodes, w.cell, w.per[b], w.cell_rows, columns, column, first_cell, last_cell)
+                for r in range(w.rounds[b]):
+                    before = (kept * w.eased.shape[1] + r) * w.nodes
+                    damped(
+                        w.eased,
+                        before,
+                        w.cell,
+                        w.cell_volume,
+                        w.per[b],
+                        lateral,
+                        law,
+                        w.cell_rows,
+                        columns,
+                        column,
+                        first_cell,
+                        last_cell,
+                        w.force,
+                    )
+                    for i in range(lo, hi):
+                        if w.driver[i] < 0:
+                            w.eased[kept, r + 1, i] = w.eased[kept, r, i] + w.force[i] * (w.ease[b, r] * dt / w.mass[i])
+                        w.force[i] = vec()
+            elif wp.static(easing):
                 for r in range(w.rounds[b]):
                     for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
                         drag(w, here, kept, r, b, c, p_solid, p_viscous)
@@ -352,6 +387,7 @@ def make_forward(kit):
                             w.eased[kept, r + 1, i] = w.eased[kept, r, i] + squeezed(w, i) * (w.ease[b, r] * dt / w.mass[i])
                     round += 1
                     barrier(w.counters, team, blocks, round)
+            if wp.static(easing):
                 for i in range(lo + lane, hi, width):
                     if w.driver[i] < 0:
                         v = w.eased[kept, w.rounds[b], i]

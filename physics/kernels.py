@@ -227,6 +227,7 @@ def _structs(R, vec, four, vectors):
         rounds: wp.array(dtype=wp.int32)  # (B,) of damping in a substep
         ease: wp.array2d(dtype=R)  # (B, rounds) share of the substep that each takes
         squeeze: wp.array2d(dtype=vec)  # (K, 8) N, forces on the corners
+        cell_rows: wp.array2d(dtype=R)  # (ROWS, K + B vectors) of a lone thread: ``cell_lanes``
         eased: wp.array3d(dtype=vec)  # (slots kept, rounds + 1, nodes) m/s, before and after each round
         panel_start: wp.array(dtype=wp.int32)  # (B+1,) first triangle of each system's sheet
         panel: wp.array2d(dtype=wp.int32)  # (F, 3) nodes

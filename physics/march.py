@@ -11,6 +11,7 @@ import torch
 import warp as wp
 from torch.autograd.function import once_differentiable
 
+from .cell_lanes import ROWS, abreast
 from .contacts import seek
 from .layer_search import Pairs, seek_layers
 from .terms.base import CELLS, SHEETS, STAGED
@@ -169,6 +170,7 @@ class World(Carrier):
                 **dict(free=empty(1 if batch.colliding else kept, n, 3), flight=empty((slots if batch.colliding else 0) * n * 8)),
                 **dict(met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(squeeze=empty(batch.cell_starts[-1], 8, 3), eased=empty(kept, rounds + 1, n if batch.easing else 0, 3)),
+                **dict(cell_rows=empty(*columns_of(batch))),
                 **dict(panel_force=empty(batch.panel_starts[-1], 3, 3), panel_moment=empty(batch.panel_starts[-1], 3)),
                 **dict(angle=empty(batch.fold_count, 2), slope=empty(batch.fold_count, 4, 3)),
                 **dict(near_row=near_row, near=near, counters=counters),
@@ -360,6 +362,12 @@ class March(torch.autograd.Function):
             batch.backward(world, adjoint, ctx.frame, stretch)
         gradients = adjoint.gradients()
         return (None, None, None, *(gradients[f.name] if f.name in wanted else None for f in fields(Inputs)))
+
+
+def columns_of(batch) -> tuple[int, int]:
+    """What a lone thread keeps of the cells of all systems, side by side: see ``cell_lanes``."""
+    cells = batch.cell_starts[-1] if batch.alone and batch.easing else 0
+    return (ROWS, int(cells) + len(batch.systems) * abreast(batch.dtype.itemsize)) if cells else (0, 0)
 
 
 SETTLED = 1e-3  # of a director's change in ``ROUND`` substeps: at rest

@@ -40,11 +40,14 @@ def point_functions(kit):
 
 
 def make_outside(kit):
-    """(meet, met): leave the force on a point and what it remembers of the ground; the force on a node by the points around it."""
+    """(meet, met): leave the force on a point and what it remembers of the ground; the force on a node by the points around it.
+
+    A lone thread leaves a point's force at its nodes, in the order of the points, and there is nothing left to ask for.
+    """
     R, vec, World, get_x, get_v = kit.R, kit.vec, kit.World, kit.get_x, kit.get_v
     pb, ps, pt, pg = (kit.vectors[s] for s in ("body", "surface", "touch", "grip"))
     body, surface, touch, settle, grip = kit.laws.body, kit.laws.surface, kit.laws.touch, kit.laws.settle, kit.laws.grip
-    touching = kit.touching
+    touching, half = kit.touching, kit.half
     whereabouts, corner = point_functions(kit)
 
     @wp.func
@@ -63,7 +66,12 @@ def make_outside(kit):
         if o >= 0:
             n = here * w.nodes + o
             f += grip(get_x(w.state, n) - x, get_v(w.state, n) - v, m, p_grip) * w.held[q]
-        w.push[q] = f
+        if wp.static(half):
+            for k in range(w.point_node.shape[1]):
+                i = w.point_node[q, k]
+                w.force[i] = w.force[i] + f * w.point_weight[q, k]
+        else:
+            w.push[q] = f
 
     @wp.func
     def met(w: World, i: int):
