@@ -70,7 +70,10 @@ def _amount(name, value, low, high, unit):
 
 
 def simulated(label: dict) -> dict:
-    """What the truth was made of, as a twin's values, where its effect has amounts of the same meaning; {} where not."""
+    """What the truth was made of, as a twin's values, where its effect has amounts of the same meaning; {} where not.
+
+    Of what is no solid, the effect's amounts alone.
+    """
     body, known = label["body"], label["parameters"]
     skin = body["area_m2"] / body["mass_kg"]
     amounts = {
@@ -82,6 +85,8 @@ def simulated(label: dict) -> dict:
     }.get(label["effect"])
     if amounts is None:
         return {}
+    if body["kind"] != "plush":
+        return amounts()
     material = dict(youngs_modulus=DENSITY * body["young"] / body["density"], poisson=body["poisson"], damping_time=body["damping"])
     return material | dict(drag_damping=body["drag"], coulomb_friction=body["friction"]) | amounts()
 

@@ -32,7 +32,8 @@ class DiagnosisConfig:
     motion      prior standard deviation of an effect's motion [mm]: effects that matter move a body by a few mm to a few cm
     probe       motion by which a signature is measured [mm]: above rounding (0.01 mm) and within the effect's linear part
     refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members
-    steps       of such a refit, of three runs each. Three of them left a wind of 15 mm far from where its refit would end
+    steps       of such a refit, at most, of three runs each; it ends where fresh slopes lead nowhere. Three of them left a wind of 15 mm,
+                nine a hand that gives way (116 mm) far from where refits end; that one takes twenty
     refresh     steps after which a refit measures its slopes anew, which takes as many runs as it has unknowns
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
@@ -57,7 +58,7 @@ class DiagnosisConfig:
     motion: float = 20.0
     probe: float = 1.0
     refitted: int = 4
-    steps: int = 9
+    steps: int = 24
     refresh: int = 3
     parallel: float = 0.95
     strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)

@@ -54,7 +54,7 @@ def test_an_effect_that_no_term_says_is_refused():
         told(dict(effect="magnetism", parameters={}, place=[None]), np.eye(3))
 
 
-BODY = dict(young=2e4, density=80.0, poisson=0.3, damping=0.01, drag=0.5, friction=0.4, area_m2=0.03, mass_kg=0.02)
+BODY = dict(kind="plush", young=2e4, density=80.0, poisson=0.3, damping=0.01, drag=0.5, friction=0.4, area_m2=0.03, mass_kg=0.02)
 AMOUNTS = {
     "viscoelastic": dict(ratio=3.0, time_s=0.2),
     "added_mass": dict(added_g=5.0),

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import DiagnosisConfig
+from .amounts import Scale
 from .forward import Forward
 from .likelihood import Likelihood
 from .scan import Signature
@@ -57,26 +58,30 @@ def refitted(
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again after every
     ``config.refresh`` steps: an effect that moves a body by centimetres leads far from where the sound twin's fit ended.
+    Its amounts have a prior by the motion that they make (``amounts``).
     """
     count = slopes.shape[1]
-    wide = np.zeros(0) if signature is None else signature.unit * signature.spread  # amounts of one prior standard deviation
-    jacobian = slopes if signature is None else np.c_[slopes, signature.columns * signature.spread]
     twins = forward.with_effects([signature.candidate]) if signature else forward
     low, high = forward.bounds
+
+    def simulated(shifts, amounts):
+        more = [{} if signature is None else signature.candidate.values(a) for a in amounts]
+        return twins.rows([{**forward.values(s), **one} for s, one in zip(shifts, more, strict=True)])
+
     if signature is not None:
-        amounts = signature.candidate.effect.amounts
-        low, high = np.r_[low, [a.low for a in amounts] / wide], np.r_[high, [a.high for a in amounts] / wide]
+        scale = Scale.of(signature, lambda a: simulated(np.zeros((len(a), count)), a), reference, config.motion)
+        low, high = np.r_[low, scale.low], np.r_[high, scale.high]
+        slopes = np.c_[slopes, signature.columns / signature.unit * scale.slope(np.zeros(len(scale.wide)))]
 
     def run(numbers):
-        more = [{} if signature is None else signature.candidate.values(row[count:] * wide) for row in numbers]
-        return twins.rows([{**forward.values(row[:count]), **one} for row, one in zip(numbers, more, strict=True)])
+        return simulated(numbers[:, :count], [row[count:] if signature is None else scale.amounts(row[count:]) for row in numbers])
 
     def place(numbers, prediction):
         if not np.isfinite(prediction).all():
             return _Place(numbers, prediction, np.inf)
         return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
 
-    at = place(np.zeros(len(low)), reference)
+    at, jacobian = place(np.zeros(len(low)), reference), slopes
     for k in range(config.steps):
         if k and k % config.refresh == 0:
             jacobian = _slopes(run, at, jacobian, low, high)
@@ -91,7 +96,10 @@ def refitted(
     curvature = _curvature(at, jacobian, data, likelihood, rows)
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
-    return Refit(at.numbers[:count], at.numbers[count:] * wide, deviations[count:] * wide, at.prediction, float(evidence))
+    if signature is None:
+        return Refit(at.numbers, np.zeros(0), np.zeros(0), at.prediction, float(evidence))
+    own, sd = at.numbers[count:], deviations[count:]
+    return Refit(at.numbers[:count], scale.amounts(own), sd * scale.slope(own), at.prediction, float(evidence))
 
 
 def _slopes(run, at: _Place, jacobian, low, high):

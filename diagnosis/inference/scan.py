@@ -12,7 +12,7 @@ from ..effects import Candidate, effects
 from .forward import Forward
 from .likelihood import Likelihood, log_gain
 
-__all__ = ["Score", "Signature", "score", "scores", "signatures"]
+__all__ = ["Score", "Signature", "motion_of", "score", "scores", "signatures"]
 
 CELLS_IN_ONE = ("body", "velocity", "setup", "")  # stages whose laws cost little where they are at 0, asked in one system
 LEAST, MOST = 0.2, 5.0  # times the probing motion: outside of it a signature is measured again
@@ -69,7 +69,7 @@ def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Sig
         columns = _measured(forward.with_effects(c for c, _ in plan), reference, plan, config)
         for candidate in dict.fromkeys(id(c) for c, _ in plan):
             own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
-            moved = [k for k in own if np.isfinite(columns[k]).all() and _rms(columns[k]) * abs(_most(plan[k])) > SMALLEST]
+            moved = [k for k in own if np.isfinite(columns[k]).all() and motion_of(columns[k]) * abs(_most(plan[k])) > SMALLEST]
             if len(moved) == len(own):
                 found.append(_scaled(plan[own[0]][0], columns[own], config))
     return found
@@ -90,7 +90,7 @@ def _measured(forward, reference, plan, config):
     """(P, B) m, derivatives by amounts."""
     sizes = np.array([c.effect.amounts[j].first for c, j in plan])
     runs = forward.rows([_row(forward, c, j, s) for (c, j), s in zip(plan, sizes, strict=True)])
-    moved = np.array([_rms(r - reference) for r in runs])
+    moved = np.array([motion_of(r - reference) for r in runs])
     wrong = [k for k, m in enumerate(moved) if not LEAST * config.probe <= m <= MOST * config.probe]  # NaN is wrong, too
     if wrong:
         factors = config.probe / np.where(np.isfinite(moved), np.maximum(moved, 1e-3), 100 * config.probe)
@@ -101,13 +101,13 @@ def _measured(forward, reference, plan, config):
     return (runs - reference) / sizes[:, None]
 
 
-def _rms(values) -> float:
+def motion_of(values) -> float:
     """mm, of (B,) m of which three make a place."""
     return 1e3 * float(np.sqrt(3 * np.mean(np.square(values))))
 
 
 def _scaled(candidate, slopes, config) -> Signature:
-    unit = np.array([1 / _rms(s) for s in slopes])
+    unit = np.array([1 / motion_of(s) for s in slopes])
     return Signature(candidate, (slopes * unit[:, None]).T, unit, np.full(len(unit), config.motion))
 
 

@@ -9,6 +9,7 @@ from scipy.stats import binom, chi2, kstest, multivariate_t
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import Amount, Candidate, Effect, effects
 from twinbench.diagnosis.inference.absorption import absorb
+from twinbench.diagnosis.inference.amounts import Scale
 from twinbench.diagnosis.inference.budget import budget, detectable
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
@@ -262,6 +263,37 @@ def test_the_evidence_of_a_refit_is_that_of_the_linear_effect_where_all_is_norma
     found, sound = (refitted(*given, what, DiagnosisConfig()) for what in (one, None))
     linear = score(marginal, data - world.reference, one)
     assert found.log_evidence - sound.log_evidence == pytest.approx(linear.log_evidence, abs=1e-3)
+
+
+def test_amounts_have_a_prior_by_what_they_do():
+    # motion of 20 mm sqrt(amount): a deviation of 20 mm is an amount of 1, two are 4, and a twentieth of one is 1 / 400
+    world = World(11)
+    column = world.catalogue[0].columns[:, 0]  # of 1 mm
+    one = replace(world.catalogue[0], candidate=Candidate(effect(low=0.0), {}), unit=np.array([1 / 400]))
+
+    def run(amounts):
+        return world.reference + 20 * np.sqrt(amounts) * column
+
+    scale = Scale.of(one, run, world.reference, 20.0)
+    numbers, sizes = scale.knots
+    assert scale.low == 0 and scale.high == pytest.approx(10.0)  # its bound is an amount of 100
+    np.testing.assert_allclose(sizes, numbers**2, rtol=1e-9)
+    at = np.array([numbers[2:4].mean()])
+    assert scale.amounts(at) == pytest.approx(sizes[2:4].mean())
+    assert scale.slope(at) == pytest.approx(np.diff(sizes[2:4]) / np.diff(numbers[2:4]))
+
+
+def test_what_blows_up_bounds_an_amount_and_what_does_no_more_is_told_apart():
+    world = World(12)
+    column = world.catalogue[0].columns[:, 0]
+    one = replace(world.catalogue[0], candidate=Candidate(effect(), {}), unit=np.array([1.0]))
+
+    def run(amounts):
+        return world.reference + np.where(amounts > 50, np.nan, np.clip(amounts, -10, 10)) * column
+
+    scale = Scale.of(one, run, world.reference, 20.0)
+    assert scale.amounts(scale.low) == -100 and 10 < scale.amounts(scale.high)[0] < 50
+    assert (np.diff(scale.knots[0]) > 0).all() and (np.diff(scale.knots[1]) > 0).all()
 
 
 def test_slopes_are_corrected_by_steps_and_not_by_rounding():
