@@ -58,7 +58,7 @@ def answer(case: Path, out: Path, preset: str, device: str) -> dict:
     begun = time.time()
     try:
         fit, transfer = (open_scenario(str(case / part)) for part in ("fit", "transfer"))
-        found = diagnose(fit, transfer=[transfer], preset=preset, device=device)
+        found = diagnose(fit, twin="springs", transfer=[transfer], preset=preset, device=device)
         found.write(out / case.name)
     except Exception as error:
         traceback.print_exc()

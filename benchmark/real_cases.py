@@ -107,7 +107,7 @@ def run(study: str, data: Path, out: Path, *, preset: str = "quick", device: str
     rows = []
     for told in CASES[study](data):
         begun = time.time()
-        found = diagnose(told.case, fitted_on=told.fitted_on, preset=preset, device=device)
+        found = diagnose(told.case, twin="springs", fitted_on=told.fitted_on, preset=preset, device=device)
         folder = out / study / "".join(c if c.isalnum() else "_" for c in told.name)
         found.write(folder)
         rows.append(_row(told, json.loads((folder / "diagnosis.json").read_text()), found, time.time() - begun))

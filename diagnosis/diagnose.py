@@ -21,6 +21,7 @@ from .outcome import Outcome
 from .page.document import plain
 from .planner import experiment
 from .report import write_report
+from .suitable import has_continuum
 from .verdict import NONE, Calibration, Decision, alike, calibration, context, decide, readings
 
 __all__ = ["NAMES", "TWINS", "Diagnosis", "affordable", "diagnose", "noise_floor"]
@@ -31,7 +32,7 @@ NAMES = (
     *("ground_adhesion", "hidden_obstacle", "ground_pose", "self_contact", "hidden_tether", "grip_slip", "grip_compliance", "tearing"),
     *("rest_shape", "controller_delay", "camera_pose", "track_drift", "grip_points"),
 )
-TWINS = ("springs", "continuum")
+TWINS = ("auto", "springs", "continuum")
 MEMBERS = {"quick": DiagnosisConfig(members=12), "full": DiagnosisConfig()}
 LONG = 90  # frames: longer recordings get coarser replicas
 STUFFED = 0.6  # of the nodes are enough for a body with an inside: it fits as well with these, in less than half the time
@@ -68,7 +69,7 @@ class Diagnosis:
 def diagnose(
     scenario: Scenario | Sequence[Scenario],
     *,
-    twin: str = "springs",
+    twin: str = "auto",
     transfer: Sequence[Scenario] = (),
     fitted_on: Sequence[Scenario] = (),
     against: Sequence[Scenario] = (),
@@ -82,7 +83,8 @@ def diagnose(
     ``twin`` is what is questioned: "continuum" is fitted to the train frames of all of ``scenario``, one recording or several of one
     object and all frames of ``fitted_on``, in which nothing is missing, and its own error is told by other sound twins (``asking.ask``);
     "springs" is a net of springs. That one is fitted on the scenario's training frames, or where ``fitted_on`` names other recordings of
-    the object on all of theirs; it is then taken as adequate for them, and what this recording adds is what is asked. Held-out frames and
+    the object on all of theirs; it is then taken as adequate for them, and what this recording adds is what is asked. "auto" is a continuum
+    where the body is a solid or a rope that is tracked all over, or recordings are several. Held-out frames and
     ``transfer`` recordings are simulated and never fitted. ``against``, for a continuum: sound recordings of the same command.
     ``preset`` is quick or full, ``weights`` another calibration of the decision on springs than the one that ships.
     Raises ValueError for an unknown twin or preset, what the twin has no use for, or a recording that is too short.
@@ -93,6 +95,9 @@ def diagnose(
         raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
     if preset not in PRESETS:
         raise ValueError(f"unknown preset {preset!r}; known: {', '.join(PRESETS)}")
+    if twin == "auto":
+        several = len(recordings) != 1 or bool(against)
+        twin = "continuum" if several or has_continuum(recordings[0]) else "springs"
     if twin == "continuum":
         options = dict(transfer=transfer, fitted_on=fitted_on, against=against, config=MEMBERS[preset])
         return ask(recordings, **options, device=device, progress=progress)

@@ -63,6 +63,7 @@ def extend(
         return twin(f"nothing added: fewer than {FEWEST} train frames are too few for a diagnosis")
     found = diagnose(
         _whole(used[0]),
+        twin="springs",
         transfer=[_whole(o) for o in used[1:]],
         preset=budget.preset,
         device=device,

@@ -9,13 +9,27 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..methods.continuum.bodies import Body, bodies_of
 
-__all__ = ["suitable"]
+__all__ = ["has_continuum", "suitable"]
 
 FRAMES = 12  # train frames: eight bins of fewer are single frames, whose noise is no mean's
 POINTS = 20  # tracked points that are seen in frame 0: two regions of ten
 EXTENT = 0.02, 5.0  # m: beyond it, units are wrong or nothing of the tables' bodies is meant
 SEEN = 0.2  # of points and frames: of less, most means are of nothing
+KINDS = ("solid", "rope")
 LIKE = 1.6  # in size, of two recordings of one object: poses and views differ by less
+
+
+def has_continuum(one: Scenario) -> bool:
+    """Whether a continuum is asked of a recording unless somebody says otherwise: of a solid or a rope that is tracked all over.
+
+    Markers that hands drive are few, and sound twins of cloths are not yet a measure of anything (``results/continuum.md``).
+    """
+    if not one.correspond or (one.grips >= 0).any() or one.visible[0].sum() < POINTS:
+        return False
+    try:
+        return _body(one).kind in KINDS
+    except ValueError:
+        return False
 
 
 def suitable(recordings: Sequence[Scenario], transfer: Sequence[Scenario] = ()) -> None:

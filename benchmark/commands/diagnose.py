@@ -30,8 +30,9 @@ class Diagnose:
     """Recordings that the twin is fitted on and taken as adequate for. Default: the training frames of CASE."""
     against: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
     """Sound recordings of the same command as CASE: how far it differs from them is asked (--twin continuum)."""
-    twin: str = "springs"
-    """Which twin is questioned: springs, a coarse net as PhysTwin's, or continuum, with sound twins beside it as a measure."""
+    twin: str = "auto"
+    """Which twin is questioned: continuum, with sound twins beside it as a measure; springs, a coarse net as PhysTwin's; or auto: continuum
+    for a solid or a rope that is tracked all over, springs for cloth and markers."""
     preset: str = "quick"
     """How much work: quick or full."""
     device: str = "cpu"

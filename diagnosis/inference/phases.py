@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,8 @@ from .scan import Signature, signatures
 from .significance import Significance, fitted_rows, significance
 
 __all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "weighed"]
+
+MOST = 2  # times ``config.refitted`` candidates that are refitted while one that was not is the likeliest
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +151,18 @@ def weighed(
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
     alarm = test.p < config.level
-    best = [(e.catalogue[k], refitted(*common, e.catalogue[k], config)) for k in _best(test, e.catalogue, config.refitted) if alarm]
-    tell(f"{len(best)} candidates refitted")
-    chances = _chances(test, e.catalogue, {id(s): r.log_evidence - sound.log_evidence for s, r in best})
-    named = sorted((_named(e, s, r, sound, chances) for s, r in best), key=lambda n: -n.log_evidence)
+    best, refits, chances = _best(test, e.catalogue), {}, _chances(test, e.catalogue, {})
+    asked = list(best)[: config.refitted] if alarm else []
+    while asked:
+        for name in asked:
+            refits[name] = refitted(*common, e.catalogue[best[name]], config)
+        gains = {best[name]: found.log_evidence - sound.log_evidence for name, found in refits.items()}
+        chances = _chances(test, e.catalogue, gains)
+        likeliest = next(iter(chances))  # where refits were worse than their linear evidence, it may be one that was not refitted
+        asked = [likeliest] if likeliest not in refits and len(refits) < MOST * config.refitted else []
+    tell(f"{len(refits)} candidates refitted")
+    best = [(e.catalogue[best[name]], found) for name, found in refits.items()]
+    named = sorted((_named(e, s, r, sound, chances) for s, r in best), key=lambda n: -n.probability)
     verdict = "adequate" if not alarm else "named" if named and _confirmed(named[0]) else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
@@ -170,25 +180,30 @@ def weighed(
     )
 
 
-def _best(test: Significance, catalogue, count: int) -> list[int]:
-    """Indices of the likeliest candidates by linear evidence, one of each effect."""
+def _best(test: Significance, catalogue) -> dict[str, int]:
+    """By effect, the likeliest first, the index of its likeliest candidate by linear evidence."""
     found: dict[str, int] = {}
-    for k in np.argsort([-s.log_evidence for s in test.scores]):
+    for k in np.argsort([-s.log_evidence for s in test.scores], kind="stable"):
         found.setdefault(catalogue[k].name, int(k))
-    return list(found.values())[:count]
+    return found
 
 
-def _chances(test: Significance, catalogue, full) -> dict[str, float]:
-    """By effect: all are alike before, and so are the candidates of one. Those that were refitted count by that evidence."""
+def _chances(test: Significance, catalogue, refits: Mapping[int, float]) -> dict[str, float]:
+    """By effect, the likeliest first: all are alike before, and so are the candidates of one.
+
+    refits  evidence of refits by the index of their candidates. What a refit corrects, it corrects in all candidates of an effect: linear
+    evidence of those that were not refitted may be tens of nats too good.
+    """
     from scipy.special import logsumexp
 
+    shift = {catalogue[k].name: evidence - test.scores[k].log_evidence for k, evidence in refits.items()}
     logs: dict[str, list[float]] = {}
     for signature, one in zip(catalogue, test.scores, strict=True):
-        logs.setdefault(signature.name, []).append(full.get(id(signature), one.log_evidence))
+        logs.setdefault(signature.name, []).append(one.log_evidence + shift.get(signature.name, 0.0))
     names = list(logs)
     means = np.array([logsumexp(v) - np.log(len(v)) for v in logs.values()])
     shares = np.exp(means - logsumexp(means)) if len(means) else means
-    return {names[k]: float(shares[k]) for k in np.argsort(-shares)}
+    return {names[k]: float(shares[k]) for k in np.argsort(-means, kind="stable")}
 
 
 def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances) -> Named:

@@ -14,7 +14,7 @@ from twinbench.diagnosis.diagnose import diagnose
 from twinbench.diagnosis.diagnosed import extend
 from twinbench.diagnosis.outcome import chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
-from twinbench.diagnosis.suitable import suitable
+from twinbench.diagnosis.suitable import has_continuum, suitable
 from twinbench.methods.continuum import Continuum
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
@@ -70,9 +70,25 @@ def test_options_that_the_twin_has_no_use_for_are_refused():
     with pytest.raises(ValueError, match="unknown twin 'cloud'"):
         diagnose(one, twin="cloud")
     with pytest.raises(ValueError, match="'springs' is asked about one recording, got 2"):
-        diagnose([one, one])
+        diagnose([one, one], twin="springs")
     with pytest.raises(ValueError, match="got block twice"):
         diagnose(one, twin="continuum", fitted_on=[one])
+
+
+def test_a_continuum_is_asked_of_what_is_tracked_all_over(monkeypatch):
+    one = block()
+    markers = replace(one, grips=np.zeros(one.controllers.shape[1], int))
+    hidden = one.visible.copy()
+    hidden[0, 15:] = False
+    few, cloud = replace(one, visible=hidden, motion_valid=hidden), replace(one, correspond=False, motion_valid=np.zeros_like(one.visible))
+    assert has_continuum(one) and not any(map(has_continuum, (markers, few, cloud)))
+    monkeypatch.setattr("twinbench.diagnosis.diagnose.ask", lambda recordings, **options: ("continuum", len(recordings)))
+    monkeypatch.setattr("twinbench.diagnosis.diagnose.inquire", lambda *given, **options: 1 / 0)
+    assert diagnose(one) == ("continuum", 1)
+    assert diagnose([markers, one]) == diagnose([one, markers]) == ("continuum", 2)  # springs are asked about one recording
+    for other in (markers, few, cloud):
+        with pytest.raises(ZeroDivisionError):
+            diagnose(other)
 
 
 def test_a_p_value_leaves_a_sound_twin_its_least_probability():

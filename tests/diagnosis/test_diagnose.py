@@ -43,7 +43,7 @@ def folders(recordings, tmp_path_factory):
 @pytest.fixture(scope="module")
 def named(recordings):
     """A diagnosis that names something."""
-    return twinbench.diagnose(recordings[0], transfer=[recordings[1]], weights=NAMING)
+    return twinbench.diagnose(recordings[0], twin="springs", transfer=[recordings[1]], weights=NAMING)
 
 
 def number(value, *, none=False):
@@ -97,7 +97,7 @@ def test_the_effects_are_those_of_the_interface():
 
 def test_the_command_writes_the_interface_and_an_offline_report(folders, tmp_path, capsys):
     out = tmp_path / "out"
-    assert main(["diagnose", str(folders / "swing"), "--transfer", str(folders / "back"), "--out", str(out)]) == 0
+    assert main(["diagnose", str(folders / "swing"), "--twin", "springs", "--transfer", str(folders / "back"), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert f"Written to {out}: diagnosis.json, report.html" in printed and len(printed.splitlines()) >= 2
     assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "report.html"]  # and no temporary file
@@ -135,7 +135,7 @@ def test_a_name_comes_with_its_parameters_place_and_time(named):
     ],
 )
 def test_every_verdict_is_written_in_the_same_interface(recordings, tmp_path, weights, verdict):
-    found = twinbench.diagnose(recordings[0], weights=weights)
+    found = twinbench.diagnose(recordings[0], twin="springs", weights=weights)
     found.write(tmp_path)
     result = json.loads((tmp_path / "diagnosis.json").read_text())
     check(result, points=20, transfer=False)
@@ -156,7 +156,7 @@ def test_held_out_frames_and_transfer_recordings_are_never_fitted(recordings, na
     case, other = recordings
     twin = named.result["evidence"]["twin"]
     for cases in ((spoiled(case, TRAIN), other), (case, spoiled(other, 1))):
-        found = twinbench.diagnose(cases[0], transfer=[cases[1]], weights=NAMING)
+        found = twinbench.diagnose(cases[0], twin="springs", transfer=[cases[1]], weights=NAMING)
         assert found.result["evidence"]["twin"] == twin  # to the last bit
         spoilt = found.result["fit"]["heldout" if cases[1] is other else "transfer"]
         assert spoilt["baseline"] > 5 * found.result["fit"]["train"]["baseline"]  # what was spoiled does count where it is compared
@@ -164,7 +164,7 @@ def test_held_out_frames_and_transfer_recordings_are_never_fitted(recordings, na
 
 def test_amplitudes_do_not_depend_on_held_out_frames(recordings, named):
     case, other = recordings
-    again = twinbench.diagnose(spoiled(case, TRAIN), transfer=[other], weights=NAMING)
+    again = twinbench.diagnose(spoiled(case, TRAIN), twin="springs", transfer=[other], weights=NAMING)
 
     def linear(found):
         return {(s.hypothesis.effect, *sorted(s.hypothesis.values.items())): s.amplitude.tolist() for s in found.inquiry.scores}
@@ -176,18 +176,18 @@ def test_a_twin_that_was_fitted_on_other_recordings(recordings, tiny):
     # the twin comes from recordings without the lean, so the lean of the case is what is left to name
     clean = tiny.concealing(frames=FRAMES, train_end=TRAIN, noise=2e-4, name="calm", rate=0.7)
     case, other = recordings
-    found = twinbench.diagnose(case, transfer=[other], fitted_on=[clean])
+    found = twinbench.diagnose(case, twin="springs", transfer=[other], fitted_on=[clean])
     check(json.loads(json.dumps(found.result, default=float)), points=20, transfer=True)
     assert [r["role"] for r in found.result["evidence"]["recordings"]] == ["case", "transfer", "fitted_on"]
-    alone = twinbench.diagnose(case, transfer=[other])
+    alone = twinbench.diagnose(case, twin="springs", transfer=[other])
     # what was fitted elsewhere has not bent itself to the case's lean
     assert found.result["fit"]["train"]["baseline"] > alone.result["fit"]["train"]["baseline"]
-    assert found.result["evidence"]["twin"] == twinbench.diagnose(case, fitted_on=[clean]).result["evidence"]["twin"]
+    assert found.result["evidence"]["twin"] == twinbench.diagnose(case, twin="springs", fitted_on=[clean]).result["evidence"]["twin"]
 
 
 def test_a_twin_is_at_ease_where_it_was_fitted_and_not_where_it_runs_astray(tiny):
     clean = tiny.concealing(frames=FRAMES, train_end=TRAIN, noise=2e-4, name="calm", rate=0.7)
-    asked = twinbench.diagnose(clean, fitted_on=[clean]).inquiry
+    asked = twinbench.diagnose(clean, twin="springs", fitted_on=[clean]).inquiry
     free = asked.base.free.values()
     assert min(free) <= asked.astray <= max(free)  # the same free run: its mean over all frames lies between those of its two parts
     assert context(asked, [])["fine"] == 1.0
@@ -213,13 +213,13 @@ def test_bad_input_is_one_line_and_nothing_is_written(folders, tmp_path, recordi
     assert "swing" in one_line(capsys, folders, "--out", out)  # holds two: the line names them
     assert not out.exists()
     write_case(tmp_path / "short", recordings[0].with_split(6))
-    said = one_line(capsys, tmp_path / "short", "--out", out)
+    said = one_line(capsys, tmp_path / "short", "--twin", "springs", "--out", out)
     assert "short: a diagnosis needs at least 8 frames that may be fitted, got 6" in said
     assert not out.exists() or not list(out.iterdir())
 
 
 def test_python_refuses_what_the_command_refuses(recordings):
     with pytest.raises(ValueError, match=r"unknown preset 'fast'; .*known: quick, full"):
-        twinbench.diagnose(recordings[0], preset="fast")
+        twinbench.diagnose(recordings[0], twin="springs", preset="fast")
     with pytest.raises(ValueError, match="swing: a diagnosis needs at least 8 frames that may be fitted, got 7"):
-        twinbench.diagnose(recordings[0].with_split(7))
+        twinbench.diagnose(recordings[0].with_split(7), twin="springs")

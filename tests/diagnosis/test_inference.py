@@ -13,8 +13,9 @@ from twinbench.diagnosis.inference.amounts import Scale
 from twinbench.diagnosis.inference.budget import budget, detectable
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
+from twinbench.diagnosis.inference.phases import _best, _chances
 from twinbench.diagnosis.inference.refit import gained, refitted
-from twinbench.diagnosis.inference.scan import Signature, score
+from twinbench.diagnosis.inference.scan import Score, Signature, score
 from twinbench.diagnosis.inference.significance import conformal, predictive, significance
 from twinbench.diagnosis.inference.slopes import corrected
 
@@ -304,6 +305,17 @@ def test_slopes_are_corrected_by_steps_and_not_by_rounding():
     np.testing.assert_allclose(found @ step, change, atol=1e-12)
     np.testing.assert_allclose(found @ [0.4, 0.0, 0.3], slopes @ [0.4, 0.0, 0.3], atol=1e-12)
     assert corrected(slopes, 1e-9 * step, slopes @ (1e-9 * step) + 1e-7) is slopes  # of a refit that has arrived
+
+
+def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
+    # two candidates of 30 and 28 nats, the first of which a refit leaves 5: the other has 3, and log((e^5 + e^3) / 2) is less than 10
+    scored = [Score(name, 3.0, log, (1.0,), 0.5) for name, log in (("a", 30.0), ("a", 28.0), ("b", 10.0))]
+    catalogue = [SimpleNamespace(name=s.name) for s in scored]
+    test = SimpleNamespace(scores=scored)
+    assert next(iter(_chances(test, catalogue, {}))) == "a" and _best(test, catalogue) == {"a": 0, "b": 2}
+    found = _chances(test, catalogue, {0: 5.0})
+    ratio = (np.exp(5) + np.exp(3)) / 2 / np.exp(10)
+    assert list(found) == ["b", "a"] and found["a"] == pytest.approx(ratio / (1 + ratio))
 
 
 def test_gains_are_paired():

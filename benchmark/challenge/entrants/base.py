@@ -39,7 +39,7 @@ class Given:
     def diagnosis(self) -> Diagnosis:
         from ....diagnosis.diagnose import diagnose
 
-        return diagnose(self.fit, transfer=[self.transfer], preset=self.preset, device=self.device)
+        return diagnose(self.fit, twin="springs", transfer=[self.transfer], preset=self.preset, device=self.device)
 
     @property
     def inquiry(self) -> Inquiry:
