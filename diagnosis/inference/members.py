@@ -12,6 +12,7 @@ from ...methods.continuum.bodies import Body
 from ...methods.continuum.body import body_of
 from ...methods.continuum.gridding import SLIVER
 from ...methods.continuum.hands import groups_of
+from ...methods.continuum.rods import Rod
 from ...methods.continuum.scene import Scene
 from ...methods.continuum.solids import Solid
 from ...methods.continuum.unknowns import Unknown, members
@@ -86,6 +87,8 @@ def _body(body: Body, recording: Observed, member: Member, config: DiagnosisConf
     """Another body of the same kind. One whose frame 0 is under load keeps its rest shape, and only its parameters differ."""
     if body.is_loaded:
         return body
+    if isinstance(body, Rod) and not body.is_marked:
+        return body.anew(recording, _thinned(recording, member.seed, config.dropped), member.cells)
     if not isinstance(body, Solid):
         return body.coarser(recording, member.cells)
     from scipy.spatial.transform import Rotation

@@ -116,6 +116,12 @@ class Rod(Body):
         found = self.along(recording, self.strands.nodes, self.radius, max(4, round(len(self.strands.rest) / times)))
         return replace(found, notes=self.notes)
 
+    def anew(self, recording: Observed, told: Observed, times: float) -> Rod:
+        """A filmed rope whose axis is found by the points of ``told``, some of ``recording``'s, with segments ``times`` as long."""
+        axis, radius = axis_of(_cloud(told), told.spacing, 2 * self.radius)
+        found = self.along(recording, axis, radius, max(4, round(len(self.strands.rest) / times)))
+        return replace(found, notes=self.notes)
+
     def laid(self, target: Observed) -> Rod:
         """Markers are the same ones in both; else the axis is taken from the target's points, from the end that suits its shape better."""
         if self.is_marked:

@@ -158,6 +158,20 @@ def test_a_rope_that_keeps_its_shape_lies_still():
     assert np.abs(path[-1] - path[0]).max() < 1e-4
 
 
+def test_another_axis_of_a_filmed_rope_is_told_by_some_of_its_points():
+    # half of 900 points with noise of 1 mm tell the half circle as well as before to half a millimetre, and not the same axis
+    recording = filmed()
+    body = Rod.of(recording, body_of(recording, kind="rope"))
+    some = replace(recording, interior=recording.interior[::2], visible=recording.visible & (np.arange(600) % 2 == 0))
+    other = body.anew(recording, some, 0.5)
+    assert len(other.positions) == 2 * len(body.positions) - 1 and len(other.structure) == len(body.structure)
+    assert np.abs(np.linalg.norm(other.positions[:, :2], axis=1) - 0.16).max() < 2e-3
+    assert np.abs(other.followed(other.positions[None])[0] - recording.structure).max() < 1e-12
+    same = body.anew(recording, recording, 1.0)
+    np.testing.assert_allclose(same.positions, body.positions, atol=2e-4)  # its width is that of the body, not a first guess
+    assert np.abs(body.anew(recording, some, 1.0).positions - body.positions).max() > 4e-4
+
+
 TRUE = dict(bending_stiffness=0.02, bending_time=0.02, torsion_ratio=0.7, drag_damping=0.3, natural_a0=1.5)
 
 
