@@ -78,7 +78,7 @@ def simulated(label: dict) -> dict:
     skin = body["area_m2"] / body["mass_kg"]
     amounts = {
         "viscoelastic": lambda: {"maxwell_share": known["ratio"], "maxwell_time": known["time_s"]},
-        "added_mass": lambda: {"added_mass": 1e-3 * known["added_g"] / body["mass_kg"]},
+        "added_mass": lambda: {"added_mass": 1e-3 * known["added_g"] / (body["mass_kg"] - 1e-3 * known["added_g"])},  # labels weigh all
         "wind": lambda: _blowing(np.array(known["velocity_m_s"]), known["coefficient_kg_m3"] * skin),
         "quadratic_drag": lambda: {"quadratic_drag": known["coefficient_kg_m3"] * skin},
         "creep": lambda: {"norton_rate": 1 / known["time_s"]},

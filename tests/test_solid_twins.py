@@ -76,6 +76,13 @@ def test_what_an_oracle_is_told_can_be_what_was_simulated(effect):
     assert {u.name for u in amounts} <= {p.name for term in extra for p in term.parameters}
 
 
+def test_labels_weigh_what_was_added():
+    # 20 g, of which 5 g were added to 15 g
+    place = dict(centroid=[0.1, 0.0, 0.0], radius=0.04)
+    label = dict(effect="added_mass", parameters=AMOUNTS["added_mass"], place=[place, place], body=BODY)
+    assert simulated(label)["added_mass"] == pytest.approx(5 / 15)
+
+
 def test_the_pull_of_a_wind_is_that_of_the_drag_equation():
     # F = c A |w - v| (w - v), by a unit of mass, on what is at rest: 2.4 * 0.03 / 0.02 * |w| w
     label = dict(effect="wind", parameters=AMOUNTS["wind"], body=BODY)
