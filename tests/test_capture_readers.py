@@ -169,6 +169,22 @@ def test_what_is_wrong_is_named(tmp_path, case):
     assert said in damaged(tmp_path, change)
 
 
+@pytest.mark.parametrize(
+    "arrivals, said", [([0.0, 0.1, 0.1], None), ([0.0, 0.2, 0.1], "arrivals of camera left must not fall, got 0.2 s and then 0.1 s")]
+)
+def test_frames_of_a_full_queue_arrive_at_one_time(tmp_path, arrivals, said):
+    """Stamps rise; arrivals need not, as a driver that counts milliseconds hands out waiting frames within one."""
+    folder = write_layout(tmp_path / "take", RawRecording("take", (camera(arrivals=np.arange(3.0)),)))
+    about = json.loads((folder / "recording.json").read_text())
+    about["cameras"]["left"]["arrivals"] = arrivals
+    (folder / "recording.json").write_text(json.dumps(about))
+    if said is None:
+        assert open_raw(folder).cameras[0].arrivals.tolist() == arrivals
+    else:
+        with pytest.raises(ValueError, match=said):
+            open_raw(folder)
+
+
 @pytest.mark.parametrize("file", ["color/000001.png", "depth/000001.png"])
 def test_damaged_pictures_are_named(tmp_path, file):
     folder = write_layout(tmp_path / "take", RawRecording("take", (camera(),)))

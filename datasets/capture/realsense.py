@@ -84,7 +84,7 @@ def _arrivals(file, stamps):
             raise ValueError
     except (KeyError, TypeError, ValueError):
         raise ValueError(f"{beside}: must hold stamps, rising, and as many arrivals, two or more [s]") from None
-    return np.maximum.accumulate(np.interp(stamps, known, came) + 1e-9 * np.arange(len(stamps)))
+    return np.maximum.accumulate(np.interp(stamps, known, came))
 
 
 def _alignment(rs, file, profile):

@@ -37,7 +37,8 @@ class RawCamera:
     intrinsics       (3, 3) pixels; pixel centres have integer coordinates
     camera_to_world  (4, 4), OpenCV axes, metres, or None: not calibrated
     stamps           (T,) seconds in the camera's own clock, rising
-    arrivals         (T,) seconds in the clock of the computer that recorded, or None where nobody wrote them down
+    arrivals         (T,) seconds in the clock of the computer that recorded, not falling: frames of a full queue come at one time;
+                     None where nobody wrote them down
     depth_unit       metres for one count of depth
     """
 
@@ -68,10 +69,10 @@ class RawCamera:
         if not (isinstance(self.depth_unit, float) and DEPTH_UNITS[0] <= self.depth_unit <= DEPTH_UNITS[1]):
             rule = f"must be {DEPTH_UNITS[0]:g} to {DEPTH_UNITS[1]:g} metres for a count"
             yield error(f"depth_unit {who}", f"{rule}, got {shown(self.depth_unit)}")
-        found["stamps"] = yield from _times(f"stamps {who}", self.stamps)
+        found["stamps"] = yield from _times(f"stamps {who}", self.stamps, apart=True)
         found["arrivals"] = None
         if self.arrivals is not None:
-            found["arrivals"] = yield from _times(f"arrivals {who}", self.arrivals)
+            found["arrivals"] = yield from _times(f"arrivals {who}", self.arrivals, apart=False)
             if len(found["arrivals"]) != len(found["stamps"]):
                 yield error(f"arrivals {who}", f"must be one for each of {len(found['stamps'])} stamps, got {len(found['arrivals'])}")
         return found
@@ -85,15 +86,16 @@ class RawCamera:
         return (self.frames.depth(frame) * self.depth_unit).astype(np.float32)
 
 
-def _times(name, values) -> Findings:
+def _times(name, values, *, apart: bool) -> Findings:
     try:
         times = np.array(values, float)
     except (TypeError, ValueError):
         times = np.zeros((0, 0))
     if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
         yield error(name, f"must be finite seconds, one for each frame, got {shown(values)}")
-    elif (fall := np.flatnonzero(np.diff(times) <= 0)).size:
-        yield error(name, f"must rise, got {times[fall[0]]:.6g} s and then {times[fall[0] + 1]:.6g} s at frame {fall[0] + 1}")
+    elif (fall := np.flatnonzero(np.diff(times) <= 0 if apart else np.diff(times) < 0)).size:
+        rule = "must rise" if apart else "must not fall"
+        yield error(name, f"{rule}, got {times[fall[0]]:.6g} s and then {times[fall[0] + 1]:.6g} s at frame {fall[0] + 1}")
     return times
 
 
