@@ -19,7 +19,6 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..diagnosis.config import DiagnosisConfig
 from ..diagnosis.inference.phases import Answer, Evidence, gathered, weighed
-from ..diagnosis.inference.significance import conformal
 from ..methods.continuum import Continuum
 from ..methods.continuum.config import Config
 from ..methods.continuum.twin import ContinuumTwin
@@ -27,7 +26,7 @@ from .opening import open_scenario
 from .solid_oracle import simulated
 from .studies import cases_of, study
 
-__all__ = ["case_row", "main", "pooled", "ranks", "scored"]
+__all__ = ["case_row", "main", "ranks", "scored"]
 
 SHOWN = (
     "set",
@@ -37,7 +36,7 @@ SHOWN = (
     "p",
     "p_misfit",
     "p_scan",
-    "p_conformal",
+    "p_members",
     "first",
     "probability",
     "gain",
@@ -88,13 +87,16 @@ def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | Non
     answer = weighed(evidence, config, progress=progress)
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     took = dict(fit_cpu=spent, cpu=time.process_time() - begun[1], wall=time.time() - begun[0], runs=answer.runs, run_cpu=answer.seconds)
-    return dict(set=root.name, case=case) | scored(answer, label) | took
+    kind = evidence.forward.simulators[0].scene.body.kind
+    return dict(set=root.name, case=case, kind=kind) | scored(answer, label) | took
 
 
 def scored(answer: Answer, label: dict) -> dict:
     """What an answer says, and how right it is: p-values, ranks of the true effect, distance to its place [mm], amounts over true ones."""
     test, truth = answer.test, label["effect"]
-    row = dict(effect=truth or "sound", verdict=answer.verdict, p=test.p, p_misfit=test.p_misfit, p_scan=test.p_scan)
+    row = dict(
+        effect=truth or "sound", verdict=answer.verdict, p=test.p, p_members=test.p_members, p_misfit=test.p_misfit, p_scan=test.p_scan
+    )
     row |= dict(far_misfit=test.standardised[0], far_scan=test.standardised[1], misfit=test.misfit, largest=test.largest)
     row |= dict(prior=json.dumps(asdict(answer.prior)), budget=json.dumps([asdict(b) for b in answer.budget]))
     if answer.named:
@@ -114,13 +116,6 @@ def scored(answer: Answer, label: dict) -> dict:
         row["over_true"] = json.dumps({name: own.amounts[name] / true[name] for name in own.amounts if true.get(name)})
     known = {d.name: d.size for d in sorted(answer.detectable, key=lambda d: -d.size)}
     return row | dict(detectable_mm=known.get(truth, np.nan), moved_mm=1e3 * label["displacement"])
-
-
-def pooled(rows) -> list[float]:
-    """Of each row, the p of its larger standardised statistic among those of sound rows; a sound one is not among its own controls."""
-    far = [max(row["far_misfit"], row["far_scan"]) for row in rows]
-    sound = [k for k, row in enumerate(rows) if row["effect"] == "sound"]
-    return [conformal(far[k], [far[j] for j in sound if j != k]) for k in range(len(rows))]
 
 
 def ranks(answer: Answer, truth: str) -> tuple[float, float]:
@@ -158,7 +153,6 @@ def main(arguments=None) -> None:
     rows = study(work, ("set", "case"), jobs=given.jobs, out=given.out)
     table = pd.DataFrame(rows)
     if len(table):
-        table["p_conformal"] = pooled(rows)
         print(table[[name for name in SHOWN if name in table]].round(3).to_string(index=False))
 
 

@@ -131,8 +131,9 @@ def _probabilities(answer: Answer, verdict: str) -> dict:
 
 def _test(answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> dict:
     t = answer.test
-    said = dict(p=t.p, p_misfit=t.p_misfit, p_scan=t.p_scan, p_held_out=t.p_held_out, level=config.level, members=len(evidence.noisy))
-    return said | dict(misfit=t.misfit, standardised=list(t.standardised))
+    said = {name: getattr(t, name) for name in ("p", "p_members", "p_misfit", "p_scan", "p_held_out")}
+    counts = dict(level=config.level, members=len(evidence.noisy), controls=len(t.controls.standardised) if t.controls else 0)
+    return said | counts | dict(misfit=t.misfit, standardised=list(t.standardised))
 
 
 def _where(first: Named | None, structure) -> dict | None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
-from scipy.stats import t as student
 
 from .covariance import Layout, Prior, Scatter
 from .scan import Signature
@@ -86,17 +85,13 @@ def budget(scatter: Scatter, prior: Prior, residual, posterior, change) -> list[
 def detectable(scatter: Scatter, prior: Prior, test: Significance, catalogue: Sequence[Signature], level: float) -> list[Detectable]:
     """By candidate, of those of several amounts in the direction in which the smallest motion shows.
 
-    The scan finds what exceeds the members' largest scores at half of ``level``, as it is one test of two.
+    The scan finds what exceeds the score that alarms by itself at ``level``.
     """
     rows = np.flatnonzero(scatter.layout.fitted)
     here = scatter.only(rows)
     full, bare = (here.likelihood(prior, parameters=p) for p in (True, False))
-    logs = np.log(test.largests)
-    count = len(logs)
-    threshold = float(np.exp(logs.mean() + student.isf(level / 2, count - 1) * logs.std(ddof=1) * np.sqrt(1 + 1 / count)))
-    needed = (threshold + norm.ppf(POWER)) * np.sqrt(
-        np.mean(test.misfits)
-    )  # scores are in deviations of what is left, not of the covariance
+    scale = np.sqrt(np.mean(test.misfits))  # scores are in deviations of what is left, not of the covariance
+    needed = (test.alarming(level) + norm.ppf(POWER)) * scale
     found = []
     for one in catalogue:
         columns = fitted_rows(one, rows).columns

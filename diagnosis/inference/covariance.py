@@ -89,9 +89,9 @@ class Scatter:
         weight = prior.strength / (prior.strength + len(self.left))
         return weight * sd[:, None] * kernel * sd + (1 - weight) * self.left.T @ self.left / len(self.left)
 
-    def likelihood(self, prior: Prior, *, inflation: float = 1.0, parameters: bool = True) -> Likelihood:
-        """Of a further recording: noise, error of sound twins (its variance times ``inflation``) and ``parameters`` within their priors."""
-        scale = inflation * self.expected(prior) + self.noise + (self.slopes @ self.slopes.T if parameters else 0.0)
+    def likelihood(self, prior: Prior, *, parameters: bool = True) -> Likelihood:
+        """Of a further recording: noise, error of sound twins and ``parameters`` within their priors."""
+        scale = self.expected(prior) + self.noise + (self.slopes @ self.slopes.T if parameters else 0.0)
         return Likelihood.of(scale, prior.strength + len(self.left))
 
     def expected(self, prior: Prior) -> np.ndarray:

@@ -13,6 +13,7 @@ from ..config import DiagnosisConfig
 from ..effects import Candidate
 from .absorption import absorb
 from .budget import Budget, Detectable, budget, detectable
+from .controls import Controls
 from .covariance import Prior, Scatter, chosen
 from .forward import Forward
 from .members import drawn, ran
@@ -81,7 +82,6 @@ def infer(
     config: DiagnosisConfig | None = None,
     *,
     seed: int = 0,
-    inflation: float = 1.0,
     progress: Callable[[str], None] | None = None,
 ) -> Answer:
     """Whether, and by which effect, a sound ``twin`` fails the recordings whose train frames it was fitted to.
@@ -90,7 +90,7 @@ def infer(
     nothing is looked at. Raises NoTracks where points do not correspond, ValueError where too few members could be run.
     """
     config = config or DiagnosisConfig()
-    return weighed(gathered(twin, recordings, config, seed=seed, progress=progress), config, inflation=inflation, progress=progress)
+    return weighed(gathered(twin, recordings, config, seed=seed, progress=progress), config, progress=progress)
 
 
 def gathered(
@@ -134,9 +134,7 @@ def gathered(
     return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, each @ forward.covariance @ each.T, tuple(catalogue))
 
 
-def weighed(
-    evidence: Evidence, config: DiagnosisConfig, *, inflation: float = 1.0, progress: Callable[[str], None] | None = None
-) -> Answer:
+def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[str], None] | None = None) -> Answer:
     """The test, names, detectable sizes and the budget of what ``gathered`` returns.
 
     Where the test alarms, the best candidates are refitted, which costs as many runs as all before.
@@ -144,10 +142,12 @@ def weighed(
     tell = progress or (lambda _: None)
     e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
     prior = chosen(scatter, config, e.noisy)
-    test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, inflation=inflation)
+    alone = len(e.forward.simulators) == 1  # as controls were
+    controls = Controls.of(e.forward.simulators[0].scene.body.kind, config) if alone else None
+    test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, controls=controls)
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
     rows = np.flatnonzero(layout.fitted)
-    fitting = scatter.only(rows).likelihood(prior, inflation=inflation, parameters=False)
+    fitting = scatter.only(rows).likelihood(prior, parameters=False)
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
     alarm = test.p < config.level

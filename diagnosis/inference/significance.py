@@ -3,6 +3,7 @@
 K members alone cannot resolve 5 % by their ranks. Logarithms of both statistics are nearly normal over members, so that one more sound
 recording's lies where a Student t with K - 1 degrees of freedom says, around their mean with their deviation times sqrt(1 + 1 / K): the
 prediction interval of a normal sample. That the best of the whole catalogue was taken is in the null, since members take their best.
+Where there are frozen sound recordings of the kind, they say how such deviations are distributed (``controls``).
 """
 
 from __future__ import annotations
@@ -12,21 +13,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .controls import Controls
 from .covariance import Prior, Scatter
 from .scan import Score, Signature, scores
 
-__all__ = ["Significance", "conformal", "fitted_rows", "predictive", "significance"]
+__all__ = ["Significance", "fitted_rows", "predictive", "significance"]
 
 
 @dataclass(frozen=True)
 class Significance:
-    """p of the recordings being a sound twin's, from ``p_misfit`` and ``p_scan``; the statistics of the recordings and of K members.
+    """p of the recordings being a sound twin's, by controls or members alone; the statistics of the recordings and of K members.
 
+    p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``, or they are too few for so small a p
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
     standardised  (2,) the recordings' statistics in deviations of the members': what is pooled over controls
     """
 
     p: float
+    p_members: float
     p_misfit: float
     p_scan: float
     p_held_out: float
@@ -36,6 +40,18 @@ class Significance:
     largests: tuple[float, ...]
     standardised: tuple[float, float]
     scores: tuple[Score, ...]
+    controls: Controls | None = None
+
+    def alarming(self, level: float) -> float:
+        """The largest score above which p is below ``level``, whatever the misfit."""
+        from scipy.stats import t
+
+        logs = np.log(np.maximum(self.largests, 1e-12))
+        count = len(logs)
+        far = float(t.isf(1 - np.sqrt(1 - level), count - 1))
+        if self.controls:
+            far = min(far, self.controls.alarming(level))
+        return float(np.exp(logs.mean() + far * logs.std(ddof=1) * np.sqrt(1 + 1 / count)))
 
 
 def predictive(value: float, sample) -> tuple[float, float]:
@@ -48,49 +64,49 @@ def predictive(value: float, sample) -> tuple[float, float]:
     return float(t.sf(far, count - 1)), float(far)
 
 
-def conformal(value: float, controls: Sequence[float]) -> float:
-    """p of ``value`` among standardised statistics of frozen sound ``controls``, with which it is exchangeable if it is sound.
-
-    (1 + how many are as large) / (1 + all): split-conformal (Vovk et al. 2005), right for any distribution, and at least 1 / (1 + n).
-    """
-    return (1 + sum(c >= value for c in controls)) / (1 + len(controls))
-
-
 def fitted_rows(signature: Signature, rows) -> Signature:
     """Of some block means (B,) alone."""
     return Signature(signature.candidate, signature.columns[rows], signature.unit, signature.spread)
 
 
 def significance(
-    scatter: Scatter, prior: Prior, residual, noisy, catalogue: Sequence[Signature], *, inflation: float = 1.0
+    scatter: Scatter,
+    prior: Prior,
+    residual,
+    noisy,
+    catalogue: Sequence[Signature],
+    *,
+    controls: Controls | None = None,
 ) -> Significance:
     """The test of ``residual`` (B,) m, of the fitted block means alone.
 
     noisy (K, B)  the members as they would have been seen; member k is weighed without itself
-    inflation     of the variance of sound twins' errors, of members as of the recordings' weights: what sound recordings of a kind of body
-                  showed beyond their members
+    controls      frozen sound recordings of the kind, or None
     """
     rows, away = np.flatnonzero(scatter.layout.fitted), np.flatnonzero(~scatter.layout.fitted)
-    p_held_out = predictive(*_misfits(scatter.only(away), prior, residual[away], noisy[:, away], inflation))[0] if len(away) else 1.0
+    p_held_out = predictive(*_misfits(scatter.only(away), prior, residual[away], noisy[:, away]))[0] if len(away) else 1.0
     scatter, residual, noisy = scatter.only(rows), residual[rows], noisy[:, rows]
     asked = [fitted_rows(s, rows) for s in catalogue]
-    likelihood = scatter.likelihood(prior, inflation=inflation)
+    likelihood = scatter.likelihood(prior)
     found = scores(likelihood, residual, asked)
     left_out = [scatter.without(k).likelihood(prior) for k in range(len(noisy))]
-    misfit, misfits = _misfits(scatter, prior, residual, noisy, inflation)
+    misfit, misfits = _misfits(scatter, prior, residual, noisy)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
     largest = _largest(found)
     (p_misfit, far_misfit), (p_scan, far_scan) = predictive(misfit, misfits), predictive(largest, largests)
-    p = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
+    p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
     standardised = far_misfit, far_scan
-    return Significance(p, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found))
+    p = min(p_members, controls.p(standardised)) if controls else p_members  # n controls say no less than 1 / (1 + n)
+    return Significance(
+        p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls
+    )
 
 
-def _misfits(scatter: Scatter, prior: Prior, residual, noisy, inflation: float) -> tuple[float, list[float]]:
+def _misfits(scatter: Scatter, prior: Prior, residual, noisy) -> tuple[float, list[float]]:
     """Mean whitened squares of the recordings, and of each member weighed without itself."""
     left_out = [scatter.without(k).likelihood(prior) for k in range(len(noisy))]
     size = len(residual)
-    own = scatter.likelihood(prior, inflation=inflation).misfit(residual) / size
+    own = scatter.likelihood(prior).misfit(residual) / size
     return own, [one.misfit(row) / size for one, row in zip(left_out, noisy, strict=True)]
 
 

@@ -20,16 +20,11 @@ CROWD = 10  # random points on the skin for each that is kept
 def grid_of(inside: Inside, pitch: float | None = None, where: str = "") -> tuple[Grid, np.ndarray]:
     """The grid and the (P, 3) samples [m] of the inside that it was built from.
 
-    pitch  edge of a cell [m]; unless given about the thickness, since one layer bends right, or what makes 48 cells if that is less, such
-           that whole cells span the body. ``where`` ends the message of a ValueError for a pitch that is far too small or too large
+    pitch  edge of a cell [m]; unless given about the thickness, since one layer bends right, or what makes 48 cells if that is less. Cells
+           are about as large: whole ones span the body, so that none at its ends is a sliver. ``where`` ends the message of a ValueError
+           for a pitch that is far too small or too large
     """
-    if pitch is not None:
-        return _embedded(inside, pitch, where)
-    return _embedded(inside, min(inside.thickness, (inside.volume / CELLS) ** (1 / 3)), where, even=True)
-
-
-def _embedded(inside, pitch, where, *, even=False):
-    """The same with cells of about ``pitch`` [m]; an ``even`` number of them spans the body, so that none at its ends is a sliver."""
+    pitch = min(inside.thickness, (inside.volume / CELLS) ** (1 / 3)) if pitch is None else pitch
     if (count := inside.volume / pitch**3) > MOST_CELLS:
         raise ValueError(f"pitch must be larger: {count:.0f} cells of {1e3 * pitch:g} mm are more than {MOST_CELLS}{where}")
     axes = box_axes(inside.corners)
@@ -37,8 +32,8 @@ def _embedded(inside, pitch, where, *, even=False):
     if len(samples) < 2 * LAYERS**2:
         raise ValueError(f"pitch must be smaller: cells of {1e3 * pitch:g} mm are larger than the body{where}")
     extent = np.ptp(samples @ axes.T, axis=0) + (inside.volume / len(samples)) ** (1 / 3)  # a sample is the middle of its share
-    size = extent / np.maximum(np.rint(extent / pitch), 1) if even else pitch
-    return embed(samples, inside.volume, size, axes=axes, sliver=SLIVER if even else 0.0), samples
+    size = extent / np.maximum(np.rint(extent / pitch), 1)
+    return embed(samples, inside.volume, size, axes=axes, sliver=SLIVER), samples
 
 
 def box_axes(points) -> np.ndarray:

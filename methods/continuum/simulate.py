@@ -27,6 +27,7 @@ HARD = 0.5  # of the highest angular frequency of the body, that of contact with
 LONGEST = 600  # frames
 FAR = 1e3  # m
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
+SHORTER = (2, 8)  # times as many steps for runs that blow up: a cell that is crushed to half its width is some ten times as stiff
 LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
 LIMITING = ("setup", "axial", "hinge", "facet", "solid", "viscous", "membrane", "plate", "grip", "touch")  # stages that limit substeps
 
@@ -98,14 +99,16 @@ class Simulator:
         return penetrations(self.system, other._nodes([one], frames)[0].double().cpu().numpy(), self.scene.body.thickness)
 
     def _nodes(self, values, frames, controllers=None):
-        """Paths (frames, N, 3) m of the nodes, for each of complete ``values``; one that blows up is run again in steps half as long.
+        """Paths (frames, N, 3) m of the nodes, for each of complete ``values``; one that blows up is run again in shorter steps.
 
         Steps are chosen where a body is at rest. Cells that are crushed or folded are stiffer, slivers among them most.
         """
-        found = list(self._marched(values, frames, controllers))
-        lost = [k for k, path in enumerate(found) if not _sane(path).all()]
-        if lost:
-            again = self._marched([values[k] for k in lost], frames, _of_runs(controllers, lost), times=2)
+        found, lost = list(self._marched(values, frames, controllers)), range(len(values))
+        for times in SHORTER:
+            lost = [k for k in lost if not _sane(found[k]).all()]
+            if not lost:
+                break
+            again = self._marched([values[k] for k in lost], frames, _of_runs(controllers, lost), times=times)
             for k, path in zip(lost, again, strict=True):
                 found[k] = path
         return found

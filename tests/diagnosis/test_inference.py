@@ -16,7 +16,7 @@ from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
 from twinbench.diagnosis.inference.phases import _best, _chances
 from twinbench.diagnosis.inference.refit import gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score
-from twinbench.diagnosis.inference.significance import conformal, predictive, significance
+from twinbench.diagnosis.inference.significance import predictive, significance
 from twinbench.diagnosis.inference.slopes import corrected
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
@@ -354,15 +354,6 @@ def test_a_prediction_interval_of_a_normal_sample_holds_what_it_says():
     random = np.random.default_rng(3)
     p = [predictive(float(np.exp(random.normal())), np.exp(random.normal(size=6)))[0] for _ in range(300)]
     assert kstest(p, "uniform").pvalue > 0.01
-
-
-def test_a_conformal_p_is_never_too_small_whatever_the_distribution():
-    # of n + 1 exchangeable values one is among the k largest with probability k / (n + 1)
-    random = np.random.default_rng(5)
-    p = [conformal(draw[0], draw[1:]) for draw in random.standard_cauchy((2000, 20))]
-    for level in (0.05, 0.1, 0.5):
-        assert np.mean(np.array(p) <= level) == pytest.approx(level, abs=4 * np.sqrt(level / 2000))
-    assert conformal(9.0, [1.0, 2.0, 3.0]) == 0.25
 
 
 def test_every_effect_says_what_it_is():
