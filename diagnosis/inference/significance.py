@@ -24,7 +24,7 @@ __all__ = ["Significance", "fitted_rows", "predictive", "significance"]
 class Significance:
     """p of the recordings being a sound twin's, by controls or members alone; the statistics of the recordings and of K members.
 
-    p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``, or they are too few for so small a p
+    p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls`` or they are too few for it
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
     standardised  (2,) the recordings' statistics in deviations of the members': what is pooled over controls
     """
