@@ -24,7 +24,15 @@ CHECKSUM = "a" * 64
 def row(method, scenario, chamfer, iou=0.5, **other):
     found = {"collection": "made", "scenario": scenario, "sources": scenario, "method": method, "task": "prediction", "seed": 0}
     found |= {"preset": "quick", "split": "published", "appearance": "corrected", "data_checksum": CHECKSUM, "device": "cpu: one"}
-    found |= {"status": "ok", "reason": "", "diverged_frame": None, "note": "", "frames": 10, "fit_seconds": 1.0}
+    found |= {
+        "commit": "c0ffee" * 6 + "+",
+        "status": "ok",
+        "reason": "",
+        "diverged_frame": None,
+        "note": "",
+        "frames": 10,
+        "fit_seconds": 1.0,
+    }
     for name, value in {"chamfer": chamfer, "iou": iou}.items():
         found |= {name: value, f"{name}_unscorable": 0, f"{name}_reason": ""}
     return found | other

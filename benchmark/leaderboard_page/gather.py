@@ -24,7 +24,7 @@ class Entry:
     about       of a submission what ``submission.json`` says of itself, and its digest; of a run empty
     origin      how and when it was scored, see ``provenance.origin``
     checksums   {collection: {recording: data checksum}}
-    devices     what it was scored on
+    devices     what it was scored on, and ``commits`` by which code of twinbench: rows of a cache may be older than the run
     """
 
     kind: str
@@ -34,6 +34,7 @@ class Entry:
     origin: Mapping
     checksums: Mapping[str, Mapping[str, str]]
     devices: tuple[str, ...]
+    commits: tuple[str, ...]
 
     @property
     def labels(self) -> list[str]:
@@ -146,5 +147,5 @@ def _entry(results: Results, rows: Sequence[Mapping]) -> Entry:
         checksums.setdefault(collection, {})[recording] = digest
     about = results.origin.get("submission", {})
     lines = tuple(dict.fromkeys((row["collection"], row["method"]) for row in rows))
-    devices = tuple(dict.fromkeys(str(row["device"]) for row in rows if row.get("device")))
-    return Entry("submission" if about else "run", str(results.folder or ""), lines, about, results.origin, checksums, devices)
+    devices, commits = (tuple(dict.fromkeys(str(row[name]) for row in rows if row.get(name))) for name in ("device", "commit"))
+    return Entry("submission" if about else "run", str(results.folder or ""), lines, about, results.origin, checksums, devices, commits)

@@ -28,7 +28,7 @@ def entry_table(entries: Iterable[Entry]) -> str:
     for number, entry in enumerate(entries):
         name = Cell(f'<a href="#{entry_id(number)}">{escape(", ".join(entry.labels))}</a>', {"data-long": ""})
         short = Cell(escape(entry.kind), text), Cell(escape(_who(entry)), long), Cell(escape(_when(entry)), text)
-        lines.append([name, *short, Cell(_code(entry), long), Cell(escape(_commit(entry)[:SHORT]), text), Cell(escape(_data(entry)), long)])
+        lines.append([name, *short, Cell(_code(entry), long), Cell(escape(_short(entry)), text), Cell(escape(_data(entry)), long)])
     return sortable_table("Where the lines come from", heads, [("ours", lines)])
 
 
@@ -53,7 +53,7 @@ def entry_details(entry: Entry, name: str) -> str:
     scored = str(origin.get("finished", ""))
     said |= {
         "scored" if about else "run and scored": f"{scored} on {', '.join(entry.devices)}" if scored else "",
-        "commit of twinbench": f"{origin.get('commit', '')}{' with changes that are not in it' if origin.get('dirty') else ''}",
+        "commit of twinbench": ", ".join(re.sub(r"\+$", " with changes that are not in it", commit) for commit in entry.commits),
         "versions it was scored with" if about else "versions": _listed(origin.get("packages", {}) | origin.get("plugins", {})),
         "metrics (version)": _listed(origin.get("metric_versions", {})),
     }
@@ -73,8 +73,9 @@ def _when(entry: Entry) -> str:
     return str(entry.about.get("date", "")) if entry.about else str(entry.origin.get("started", ""))[:10]
 
 
-def _commit(entry: Entry) -> str:
-    return str(entry.about.get("commit", "")) if entry.about else str(entry.origin.get("commit", ""))
+def _short(entry: Entry) -> str:
+    """The beginning of the commit of the code."""
+    return str(entry.about.get("commit", ""))[:SHORT] if entry.about else ", ".join(commit[:SHORT] for commit in entry.commits)
 
 
 def _code(entry: Entry) -> str:

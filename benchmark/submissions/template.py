@@ -15,7 +15,7 @@ from ..checksum import Checksums
 from ..opening import Opened
 from ..plan import TASKS, plan
 from .format import FILE, FORMAT, Rollout, write_json
-from .writing import write_arrays
+from .writing import check_free, write_arrays
 
 __all__ = ["arrays_of", "write_template"]
 
@@ -61,8 +61,7 @@ def write_template(
     already, a recording cannot be read, or none of ``tasks`` is scored on any.
     """
     folder, tasks = Path(folder), [task for task in TASKS if task in tasks]
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"{folder}: is there already; nothing is written over")
+    check_free(folder)
     fits = plan(opened.collection, methods=["submission"], tasks=tasks, seeds=seeds)
     asked = dict.fromkeys((fit.sources, evaluation.target, fit.seed) for fit in fits for evaluation in fit.evaluations)
     if not asked:

@@ -26,7 +26,7 @@ from .format import FILE, NO_CODE, Rollout, Submission, write_json
 if TYPE_CHECKING:
     from ..api import Study
 
-__all__ = ["write_arrays", "write_submission", "write_submissions"]
+__all__ = ["check_free", "write_arrays", "write_submission", "write_submissions"]
 
 Progress = Callable[[str, float], None]
 VERSIONS = ("numpy", "torch", "warp-lang", "twinbench")
@@ -120,16 +120,23 @@ def write_submissions(
             raise ValueError(f"{results.folder}: the run was of {why}: run without --{name}")
     options["methods"] = methods or options["methods"]
     (study,) = studies(**options, cache=cache.root, quiet=True)
-    for opened, fits in study.work:
-        for method in study.experiment.methods:
-            folder = Path(out) / name_for([*([opened.collection.name] if len(study.work) > 1 else []), method])
-            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-                raise ValueError(f"{folder}: is there already; nothing is written over")
-            own = [fit for fit in fits if fit.method == method]
-            with scratch(Path(out), folder) as temporary, progress(f"{method} on {opened.collection.name}") as told:
-                write_submission(study, opened, own, temporary / "whole", authors=authors, code=code, progress=told)
-                (temporary / "whole").rename(folder)
-            yield folder
+    planned = [
+        (opened, [fit for fit in fits if fit.method == method]) for opened, fits in study.work for method in study.experiment.methods
+    ]
+    names = [name_for([*([opened.collection.name] if len(study.work) > 1 else []), fits[0].method]) for opened, fits in planned]
+    for folder in (Path(out) / name for name in names):
+        check_free(folder)
+    for (opened, fits), folder in zip(planned, (Path(out) / name for name in names), strict=True):
+        with scratch(Path(out), folder) as temporary, progress(f"{fits[0].method} on {opened.collection.name}") as told:
+            write_submission(study, opened, fits, temporary / "whole", authors=authors, code=code, progress=told)
+            (temporary / "whole").rename(folder)
+        yield folder
+
+
+def check_free(folder: Path) -> None:
+    """Raises ValueError where something is in ``folder`` already."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise ValueError(f"{folder}: is there already; nothing is written over")
 
 
 def write_submission(
