@@ -161,7 +161,7 @@ def said_of_boards(found: Sequence[Board], results: Results) -> list[str]:
     beside = dict.fromkeys(board.sheet.block.collection for board in found if any(line.published for line in board.sheet.block.lines))
     cited = [f"{name}: figures that others report are from {results.citations[name]}" for name in beside if results.citations.get(name)]
     over = [said[over] if len(tasks) == 1 else f"{'; '.join(where)}: {said[over]}" for over, where in tasks.items()]
-    return [first, *over, *others, *cited]
+    return [first, *map(_capital, over), *others, *cited]
 
 
 def elsewhere(results: Results, methods: Sequence[str] | None) -> list[tuple[str, list[list[str]]]]:
@@ -205,7 +205,7 @@ def leaderboard_markdown(results: Results, *, says: str = "", published: Sequenc
             texts = [(f"**{text}**" if best else text) + (f" ± {half}" if half else "") for text, half, best in marked]
             rows.append([f"*{text}*" if text and line.published else text for text in texts])
         parts.append(f"## {in_markdown(board.sheet.caption)}\n\n{markdown_table(board.sheet.header, rows)}")
-    parts.append("\n".join(f"- {in_markdown(_capital(said))}" for said in said_of_boards(found, results)))
+    parts.append("\n".join(f"- {in_markdown(said)}" for said in said_of_boards(found, results)))
     if tables := elsewhere(results, published):
         parts.append(f"## {ELSEWHERE.split(';')[0]}\n\n{ELSEWHERE}")
         parts += [f"**{caption}**\n\n{markdown_table(header, rows)}" for caption, (header, *rows) in tables]
@@ -230,7 +230,7 @@ def leaderboard_latex(results: Results, *, says: str = "", published: Sequence[s
     tables = elsewhere(results, published)
     parts += [latex_table(caption, header, [[list(map(escape, row)) for row in rows]]) for caption, (header, *rows) in tables]
     notes += [ELSEWHERE] if tables else []
-    items = "\n".join(rf"\item {escape(_capital(note))}" for note in notes).replace("/", r"/\allowbreak{}")
+    items = "\n".join(rf"\item {escape(note)}" for note in notes).replace("/", r"/\allowbreak{}")
     parts.append(f"{{\\footnotesize\\sloppy\n\\begin{{itemize}}\n{items}\n\\end{{itemize}}\n}}")
     return "\n\n".join(parts) + "\n"
 

@@ -66,7 +66,7 @@ def gather(found: Sequence[Results]) -> Gathered:
     labels = _labels(found)
     rows, entries = [], []
     for number, one in enumerate(found):
-        own = [_whole(row, units) | {"method": labels[number, row["method"]]} for row in one.rows]
+        own = [_whole(row, units) | {"method": labels[number, row["collection"], row["method"]]} for row in one.rows]
         rows += own
         entries.append(_entry(one, own))
     pooled = tuple(name for name in units if any(name in one.pooled for one in found))
@@ -112,24 +112,18 @@ def _whole(row: Mapping, metrics: Iterable[str]) -> dict:
     return {**row, **nothing}
 
 
-def _labels(found: Sequence[Results]) -> dict[tuple[int, str], str]:
-    """What each method of each of ``found`` is called: by its name, and where that is another's on the same collection, by its source."""
-    places: dict[tuple[str, str], set[int]] = {}
+def _labels(found: Sequence[Results]) -> dict[tuple[int, str, str], str]:
+    """What each method of a collection is called, by the number of its results: by its name, and where several have that, by its source."""
+    places: dict[tuple[str, str], dict[int, None]] = {}
     for number, one in enumerate(found):
         for row in one.rows:
-            places.setdefault((row["collection"], row["method"]), set()).add(number)
-    shared = {(number, method) for (_, method), numbers in places.items() if len(numbers) > 1 for number in numbers}
-    labels: dict[tuple[int, str], str] = {}
-    taken: set[str] = set()
-    for number, one in enumerate(found):
-        for method in dict.fromkeys(row["method"] for row in one.rows):
-            label = f"{method} ({_source(one)})" if (number, method) in shared else method
-            count = 1
-            while (number, method) in shared and label in taken:
-                count += 1
-                label = f"{method} ({_source(one)}, {count})"
-            taken.add(label)
-            labels[number, method] = label
+            places.setdefault((row["collection"], row["method"]), {})[number] = None
+    labels: dict[tuple[int, str, str], str] = {}
+    for (collection, method), numbers in places.items():
+        sources = [_source(found[number]) for number in numbers]
+        for k, (number, source) in enumerate(zip(numbers, sources, strict=True)):
+            again = f", {sources[: k + 1].count(source)}" if source in sources[:k] else ""
+            labels[number, collection, method] = f"{method} ({source}{again})" if len(numbers) > 1 else method
     return labels
 
 

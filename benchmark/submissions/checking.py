@@ -77,7 +77,7 @@ def _rules(folder: Path, opened: Opened, cache: Cache, progress: Progress) -> Fi
     from ...methods.registry import methods
 
     if submission.method in methods():
-        said = f"is {submission.method!r}, as a method of twinbench is called: tables cannot tell them apart"
+        said = f"is {submission.method!r}, the name of a method of twinbench: give it another, unless it is that method"
         yield warning("method", said, folder / FILE)
     asked = yield from _coverage(folder, submission, opened)
     yield from _files(folder, submission)
