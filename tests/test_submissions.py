@@ -409,6 +409,16 @@ def test_all_faults_are_said_at_once(static, opened, cache):
     assert sum(line.startswith("error") for line in lines) == 5
 
 
+def test_recordings_of_another_data_set_are_one_error_that_says_what_to_do(static, capsys):
+    assert main(["submit", "check", str(static)]) == 1  # the sample is what is looked for where --data names nothing
+    said = "data.collection is 'thing', and none of its recordings is among those of sample: --data names the folder that they are in"
+    assert capsys.readouterr().out.count("error  ") == 1 and said in str(check(static, sample(), Cache(Path("cache")))[-1])
+
+
+def sample():
+    return open_recordings("sample", split="published", cache=Cache(Path("cache")))
+
+
 def test_a_link_that_leads_out_of_the_folder_is_not_followed(static, opened, cache, tmp_path):
     file, arrays = arrays_of(static)
     np.savez(tmp_path / "outside.npz", **arrays)

@@ -97,6 +97,10 @@ def _rules(folder: Path, opened: Opened, cache: Cache, progress: Progress) -> Fi
 def _coverage(folder: Path, submission: Submission, opened: Opened) -> Findings:
     """Each roll-out that is asked for must be there once, and no other. Returns the keys of those that are asked for."""
     file, asked = folder / FILE, wanted(submission, opened)
+    if submission.rollouts and {one.recording for one in submission.rollouts}.isdisjoint(opened.collection.scenarios):
+        said = f"is {submission.data['collection']!r}, and none of its recordings is among those of {opened.collection.name}"
+        yield error("data.collection", f"{said}: --data names the folder that they are in", file)
+        return {}
     given = Counter(one.key for one in submission.rollouts)
     for number, one in enumerate(submission.rollouts):
         if one.key not in asked:
