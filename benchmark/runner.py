@@ -336,6 +336,7 @@ class Runner:
             "split": self.split,
             "appearance": self._look(fit, evaluation),
             "data_checksum": "" if evaluation.target in self._lost else self._checksums[evaluation.target],
+            "images_checksum": self._images(evaluation.target),
             "code_checksum": digest(SOURCES.files(*self._modules(fit.method))),
         }
 
@@ -364,11 +365,13 @@ class Runner:
         }
         return Origin(inputs, self._subject(fit, data, modules))
 
+    def _images(self, target: str) -> str:
+        """The checksum of a recording's images; "" where no metric looks at images or there are none."""
+        return self._checksums[images_of(target)] if self.settings.images and target not in self._lost else ""
+
     def _look(self, fit: Fit, evaluation: Evaluation) -> str:
         """Which appearance the twin is shown with; "" where no metric looks at images or there are none."""
-        target = evaluation.target
-        seen = self.settings.images and target not in self._lost and self._checksums[images_of(target)]
-        return getattr(self._found(fit.method), "appearance", Method.appearance) if seen else ""
+        return getattr(self._found(fit.method), "appearance", Method.appearance) if self._images(evaluation.target) else ""
 
     def row_origin(self, fit: Fit, evaluation: Evaluation) -> Origin:
         """What a row is made from."""

@@ -23,7 +23,14 @@ CHECKSUM = "a" * 64
 
 def row(method, scenario, chamfer, iou=0.5, **other):
     found = {"collection": "made", "scenario": scenario, "sources": scenario, "method": method, "task": "prediction", "seed": 0}
-    found |= {"preset": "quick", "split": "published", "appearance": "corrected", "data_checksum": CHECKSUM, "device": "cpu: one"}
+    found |= {
+        "preset": "quick",
+        "split": "published",
+        "appearance": "corrected",
+        "data_checksum": CHECKSUM,
+        "images_checksum": CHECKSUM,
+        "device": "cpu: one",
+    }
     found |= {
         "commit": "c0ffee" * 6 + "+",
         "status": "ok",
@@ -99,6 +106,10 @@ def test_methods_of_one_name_are_told_apart_by_where_they_are_from_and_others_ke
         (
             made(*THREE, place="two", metric_versions={"chamfer": 1, "iou": 3}),
             "versions of iou must be the same everywhere, got 2 in run and 3 in two",
+        ),
+        (
+            made(*(r | {"images_checksum": "b" * 64} for r in THREE), place="two"),
+            "checksums of images of x of made must be the same everywhere",
         ),
         (replace(made(*THREE, place="two"), units=UNITS | {"iou": "dB"}), "units of iou must be the same everywhere"),
         (replace(made(*THREE, place="two"), directions=DIRECTIONS | {"iou": "lower"}), "directions of iou must be the same"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ..results import Results
 from ..status import FAULTS
@@ -62,7 +63,8 @@ def gather(found: Sequence[Results]) -> Gathered:
     units = _agreed(found, "units", lambda one: one.units)
     directions = _agreed(found, "directions", lambda one: one.directions)
     _agreed(found, "versions", lambda one: one.origin.get("metric_versions", {}))
-    _agreed(found, "data checksums", _checksums)
+    for what, column in {"data checksums": "data_checksum", "checksums of images": "images_checksum"}.items():
+        _agreed(found, what, partial(_checksums, column))
     labels = _labels(found)
     rows, entries = [], []
     for number, one in enumerate(found):
@@ -98,9 +100,9 @@ def _agreed(found: Sequence[Results], what: str, of) -> dict:
     return {name: value for name, (value, _) in said.items()}
 
 
-def _checksums(results: Results) -> dict[tuple[str, str], str]:
-    """By collection and recording. A recording that could not be read has none."""
-    return {(row["collection"], row["scenario"]): row["data_checksum"] for row in results.rows if row.get("data_checksum")}
+def _checksums(column: str, results: Results) -> dict[tuple[str, str], str]:
+    """By collection and recording. A recording that could not be read has none; images that nobody looked at have none."""
+    return {(row["collection"], row["scenario"]): row[column] for row in results.rows if row.get(column)}
 
 
 def _whole(row: Mapping, metrics: Iterable[str]) -> dict:
@@ -137,7 +139,7 @@ def _source(results: Results) -> str:
 
 def _entry(results: Results, rows: Sequence[Mapping]) -> Entry:
     checksums: dict[str, dict[str, str]] = {}
-    for (collection, recording), digest in _checksums(replace(results, rows=rows)).items():
+    for (collection, recording), digest in _checksums("data_checksum", replace(results, rows=rows)).items():
         checksums.setdefault(collection, {})[recording] = digest
     about = results.origin.get("submission", {})
     lines = tuple(dict.fromkeys((row["collection"], row["method"]) for row in rows))
