@@ -17,13 +17,12 @@ from ..metrics.base import Metric
 from .ablations import ABLATIONS
 from .cache import Cache, default_cache
 from .experiment import Experiment, Work
-from .folders import publish
 from .opening import Opened, open_all
 from .options import DEVICES, SPLITS, chosen, chosen_methods, chosen_metrics, known, writable
 from .plan import TASKS
 from .presets import PRESETS
 from .provenance import origin
-from .results import Results, write_results
+from .results import Results
 
 __all__ = ["Study", "run", "studies"]
 
@@ -60,22 +59,9 @@ class Study:
 
     def write(self, results: Results, place: Path, *, board: Path | None = None) -> Results:
         """``results`` with the new ``folder`` in ``place`` that they were written to; their leaderboard goes there, or to ``board``."""
-        from .leaderboard import write_leaderboard
-        from .published import write_published
+        from .run_files import write_run
 
-        def leaderboard(folder: Path) -> None:
-            write_leaderboard(results, folder, says=self.experiment.says, published=self.experiment.published)
-
-        def everything(folder: Path) -> None:
-            write_results(results, folder)
-            write_published(results, folder)
-            if board is None:
-                leaderboard(folder)
-
-        folder = publish(place, datetime.fromisoformat(results.origin["started"]), everything)
-        if board is not None:
-            leaderboard(board)
-        return replace(results, folder=folder)
+        return write_run(results, place, says=self.experiment.says, published=self.experiment.published, board=board)
 
 
 def run(

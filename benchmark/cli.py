@@ -34,7 +34,17 @@ class Cache:
         raise ValueError("twinbench cache needs one of list, explain, prune")
 
 
-GROUPS = {"challenge": Challenge, "cache": Cache}
+@dataclass(frozen=True)
+class Submit:
+    """Hand in roll-outs of a method whose code is not here: twinbench submit new | check | score | write."""
+
+    commands: ClassVar = ".submissions.commands"
+
+    def __call__(self) -> int:
+        raise ValueError("twinbench submit needs one of new, check, score, write")
+
+
+GROUPS = {"challenge": Challenge, "cache": Cache, "submit": Submit}
 
 
 def main(arguments: list[str] | None = None) -> int:

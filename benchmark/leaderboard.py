@@ -16,7 +16,20 @@ from .results import Results
 from .table import Sheet, escape, latex_table, markdown_table, number, remarks, sheets
 from .text import cell, in_markdown
 
-__all__ = ["Board", "Interval", "boards", "half_width", "leaderboard_csv", "leaderboard_latex", "leaderboard_markdown", "write_leaderboard"]
+__all__ = [
+    "ELSEWHERE",
+    "Board",
+    "Interval",
+    "board_cells",
+    "boards",
+    "elsewhere",
+    "half_width",
+    "leaderboard_csv",
+    "leaderboard_latex",
+    "leaderboard_markdown",
+    "said_of_boards",
+    "write_leaderboard",
+]
 
 FEWEST = 3  # recordings over which an interval says something: of two, Student's t reaches six times their distance
 COLUMNS = (
@@ -120,7 +133,7 @@ def _grouped(rows: Iterable[dict], metric: str, pooled: bool, key) -> list[tuple
     return [(weight, total / weight) for weight, total in sums.values()]
 
 
-def _cells(board: Board) -> list[list[tuple[str, str, bool]]]:
+def board_cells(board: Board) -> list[list[tuple[str, str, bool]]]:
     """Of every line its cells: text, half of the interval as text or "", and whether it is the best."""
     sheet, rows = board.sheet, []
     for line, cells in zip(sheet.block.lines, sheet.cells, strict=True):
@@ -133,7 +146,7 @@ def _cells(board: Board) -> list[list[tuple[str, str, bool]]]:
     return rows
 
 
-def _about(found: Sequence[Board], results: Results) -> list[str]:
+def said_of_boards(found: Sequence[Board], results: Results) -> list[str]:
     """What stands below the tables."""
     said = {
         "recordings": "after ±: half of the 95 % interval by Student's t over the recordings, seeds averaged in each",
@@ -148,10 +161,10 @@ def _about(found: Sequence[Board], results: Results) -> list[str]:
     beside = dict.fromkeys(board.sheet.block.collection for board in found if any(line.published for line in board.sheet.block.lines))
     cited = [f"{name}: figures that others report are from {results.citations[name]}" for name in beside if results.citations.get(name)]
     over = [said[over] if len(tasks) == 1 else f"{'; '.join(where)}: {said[over]}" for over, where in tasks.items()]
-    return [first, *over, *others, *cited]
+    return [first, *map(_capital, over), *others, *cited]
 
 
-def _elsewhere(results: Results, methods: Sequence[str] | None) -> list[tuple[str, list[list[str]]]]:
+def elsewhere(results: Results, methods: Sequence[str] | None) -> list[tuple[str, list[list[str]]]]:
     """The paper's tables as (caption, rows with a header) where no collection of the run has published figures beside its own."""
     if any(results.published.values()):
         return []
@@ -187,13 +200,13 @@ def leaderboard_markdown(results: Results, *, says: str = "", published: Sequenc
     parts, found = ["# Leaderboard", *([says] if says else [])], boards(results)
     for board in found:
         rows = []
-        for line, cells in zip(board.sheet.block.lines, _cells(board), strict=True):
+        for line, cells in zip(board.sheet.block.lines, board_cells(board), strict=True):
             marked = [(in_markdown(text), half, best) for text, half, best in cells]
             texts = [(f"**{text}**" if best else text) + (f" ± {half}" if half else "") for text, half, best in marked]
             rows.append([f"*{text}*" if text and line.published else text for text in texts])
         parts.append(f"## {in_markdown(board.sheet.caption)}\n\n{markdown_table(board.sheet.header, rows)}")
-    parts.append("\n".join(f"- {in_markdown(_capital(said))}" for said in _about(found, results)))
-    if tables := _elsewhere(results, published):
+    parts.append("\n".join(f"- {in_markdown(said)}" for said in said_of_boards(found, results)))
+    if tables := elsewhere(results, published):
         parts.append(f"## {ELSEWHERE.split(';')[0]}\n\n{ELSEWHERE}")
         parts += [f"**{caption}**\n\n{markdown_table(header, rows)}" for caption, (header, *rows) in tables]
     return "\n\n".join(parts) + "\n"
@@ -208,16 +221,16 @@ def leaderboard_latex(results: Results, *, says: str = "", published: Sequence[s
     parts, found = ["% needs \\usepackage{booktabs,graphicx}"], boards(results)
     for board in found:
         ours, theirs = [], []
-        for line, cells in zip(board.sheet.block.lines, _cells(board), strict=True):
+        for line, cells in zip(board.sheet.block.lines, board_cells(board), strict=True):
             texts = [rf"\textbf{{{escape(text)}}}" if best else escape(text) for text, _, best in cells]
             texts = [text + (rf" $\pm$ {half}" if half else "") for text, (_, half, _) in zip(texts, cells, strict=True)]
             (theirs if line.published else ours).append(texts)
         parts.append(latex_table(board.sheet.caption, board.sheet.header, [ours, theirs]))
-    notes = [*([says] if says else []), *_about(found, results)]
-    tables = _elsewhere(results, published)
+    notes = [*([says] if says else []), *said_of_boards(found, results)]
+    tables = elsewhere(results, published)
     parts += [latex_table(caption, header, [[list(map(escape, row)) for row in rows]]) for caption, (header, *rows) in tables]
     notes += [ELSEWHERE] if tables else []
-    items = "\n".join(rf"\item {escape(_capital(note))}" for note in notes).replace("/", r"/\allowbreak{}")
+    items = "\n".join(rf"\item {escape(note)}" for note in notes).replace("/", r"/\allowbreak{}")
     parts.append(f"{{\\footnotesize\\sloppy\n\\begin{{itemize}}\n{items}\n\\end{{itemize}}\n}}")
     return "\n\n".join(parts) + "\n"
 

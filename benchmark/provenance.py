@@ -14,6 +14,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 
+from ..metrics.base import Metric
+
 __all__ = ["command_line", "device_name", "origin", "peak_memory", "provenance", "reset_peak_memory"]
 
 PACKAGES = {"numpy": "numpy", "torch": "torch", "warp": "warp-lang", "twinbench": "twinbench"}
@@ -77,9 +79,10 @@ def provenance(device: str) -> dict[str, str]:
 def origin(began: datetime, used: Iterable, options: Mapping) -> dict:
     """How and when results came about, as ``about.json`` has it: nothing in it but the command line depends on whose machine it was.
 
-    ``used`` are the methods and metrics; the distributions that they come from are named with their versions.
+    ``used`` are the methods and metrics; the distributions that they come from are named with their versions, and metrics with theirs:
+    another one gives other numbers.
     """
-    head = commit()
+    head, used = commit(), list(used)
     return {
         "command": shlex.join(("twinbench", *command_line.get())) if command_line.get() else "",
         "options": dict(options),
@@ -90,6 +93,7 @@ def origin(began: datetime, used: Iterable, options: Mapping) -> dict:
         "python": platform.python_version(),
         "packages": {package: installed(package) for package in PACKAGES.values()},
         "plugins": _plugins(used),
+        "metric_versions": {one.name: one.version for one in used if isinstance(one, Metric)},
     }
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -27,7 +27,7 @@ from .rendering import Appearances, Recent, Shown, appearance_class
 from .sources import SOURCES
 from .status import FAULTS, Stopped, as_status
 
-__all__ = ["Runner", "Settings"]
+__all__ = ["Rolled", "Runner", "Settings"]
 
 Progress = Callable[[str, float], None]
 
@@ -49,6 +49,23 @@ class Settings:
     def images(self) -> bool:
         """Whether any metric looks at images."""
         return any(metric.images for metric in self.metrics.values())
+
+
+@dataclass(frozen=True)
+class Rolled:
+    """A roll-out and what is scored of it: ``evaluations`` of one recording, ``target``; all are transfers, or none is.
+
+    about       what its rows say of costs, and the twin's note
+    trajectory  None where there is none, for any of ``evaluations``; ``row`` says why
+    look        which appearance it is shown with
+    """
+
+    evaluations: tuple[Evaluation, ...]
+    about: dict
+    target: Scenario | None = None
+    trajectory: Trajectory | None = None
+    look: str = ""
+    row: dict = field(default_factory=dict)
 
 
 class Runner:
@@ -138,6 +155,21 @@ class Runner:
 
     def _compute(self, fit: Fit, evaluations: list[Evaluation], report: Progress) -> Iterator[tuple[Evaluation, dict]]:
         device_name(self.settings.device)  # raises where it is not there
+        for rolled in self._rollouts(fit, evaluations, report):
+            if rolled.trajectory is None or rolled.target is None:
+                yield from ((evaluation, self._row(rolled.row, rolled.about)) for evaluation in rolled.evaluations)
+                continue
+            shown = self._shown(rolled.trajectory, rolled.evaluations[0].target, rolled.look, report)
+            for evaluation in rolled.evaluations:
+                self._unseen.discard(evaluation)
+                faults: dict[str, str] = {}
+                row = self._row(self._score(shown, rolled.target, evaluation.task, faults), rolled.about)
+                if shown.faults or faults:
+                    self._unseen.add(evaluation)
+                yield evaluation, row
+
+    def _rollouts(self, fit: Fit, evaluations: Sequence[Evaluation], report: Progress) -> Iterator[Rolled]:
+        """The roll-outs that ``evaluations`` score, or why there are none."""
         try:
             method = self._method(fit.method)
             if method.skip_transfer and all(evaluation.task == "transfer" for evaluation in evaluations):
@@ -149,7 +181,7 @@ class Runner:
                     raise Stopped(status="skipped", reason=reason)
             twin, about = self._twin(method, fit, report)
         except Stopped as stopped:
-            yield from ((evaluation, self._row(stopped.row, {})) for evaluation in evaluations)
+            yield Rolled(tuple(evaluations), {}, row=stopped.row)
             return
         for target in dict.fromkeys(evaluation.target for evaluation in evaluations):
             report(f"scoring {target}", 1.0)
@@ -157,9 +189,9 @@ class Runner:
             try:
                 recording = self._load(target)
             except Stopped as stopped:  # it was there at the start and is not any more
-                yield from ((evaluation, self._row(stopped.row, {})) for evaluation in wanted)
+                yield Rolled(tuple(wanted), {}, row=stopped.row)
                 continue
-            yield from self._evaluate(method, twin, about, wanted, recording, report)
+            yield from self._placed(method, twin, about, wanted, recording)
 
     def _method(self, name: str) -> Method:
         with as_status():
@@ -224,32 +256,23 @@ class Runner:
         twin, about = self._twin(self._method(fit.method), fit, report)
         return {"start": twin}, about["fit_seconds"]
 
-    def _evaluate(
-        self, method: Method, twin: Twin, about: dict, evaluations: list[Evaluation], target: Scenario, report: Progress
-    ) -> Iterator[tuple[Evaluation, dict]]:
-        """One roll-out from frame 0 for each way of placing the twin, scored for each task."""
+    def _placed(self, method: Method, twin: Twin, about: dict, evaluations: list[Evaluation], target: Scenario) -> Iterator[Rolled]:
+        """One roll-out from frame 0 for each way of placing the twin."""
         for transfer in (False, True):
-            wanted = [evaluation for evaluation in evaluations if (evaluation.task == "transfer") == transfer]
+            wanted = tuple(evaluation for evaluation in evaluations if (evaluation.task == "transfer") == transfer)
             if not wanted:
                 continue
-            about = {name: about[name] for name in ("fit_seconds", "peak_memory_mib", "peak_device_memory_mib", "note")}
+            costs = {name: about[name] for name in ("fit_seconds", "peak_memory_mib", "peak_device_memory_mib", "note")}
             try:
                 if transfer and method.skip_transfer:
                     raise Stopped(status="skipped", reason=method.skip_transfer)
                 if transfer:
                     self._refuse(method, [target])
-                trajectory, about = self._roll_out(twin, about, target, transfer)
+                trajectory, costs = self._roll_out(twin, costs, target, transfer)
             except Stopped as stopped:
-                yield from ((evaluation, self._row(stopped.row, about)) for evaluation in wanted)
+                yield Rolled(wanted, costs, row=stopped.row)
                 continue
-            shown = self._shown(trajectory, wanted[0].target, method.appearance, report)
-            for evaluation in wanted:
-                self._unseen.discard(evaluation)
-                faults: dict[str, str] = {}
-                row = self._row(self._score(shown, target, evaluation.task, faults), about)
-                if shown.faults or faults:
-                    self._unseen.add(evaluation)
-                yield evaluation, row
+            yield Rolled(wanted, costs, target, trajectory, method.appearance)
 
     def _roll_out(self, twin: Twin, about: dict, target: Scenario, transfer: bool) -> tuple[Trajectory, dict]:
         reset_peak_memory()
@@ -313,6 +336,7 @@ class Runner:
             "split": self.split,
             "appearance": self._look(fit, evaluation),
             "data_checksum": "" if evaluation.target in self._lost else self._checksums[evaluation.target],
+            "images_checksum": self._images(evaluation.target),
             "code_checksum": digest(SOURCES.files(*self._modules(fit.method))),
         }
 
@@ -341,11 +365,13 @@ class Runner:
         }
         return Origin(inputs, self._subject(fit, data, modules))
 
+    def _images(self, target: str) -> str:
+        """The checksum of a recording's images; "" where no metric looks at images or there are none."""
+        return self._checksums[images_of(target)] if self.settings.images and target not in self._lost else ""
+
     def _look(self, fit: Fit, evaluation: Evaluation) -> str:
         """Which appearance the twin is shown with; "" where no metric looks at images or there are none."""
-        target = evaluation.target
-        seen = self.settings.images and target not in self._lost and self._checksums[images_of(target)]
-        return getattr(self._found(fit.method), "appearance", Method.appearance) if seen else ""
+        return getattr(self._found(fit.method), "appearance", Method.appearance) if self._images(evaluation.target) else ""
 
     def row_origin(self, fit: Fit, evaluation: Evaluation) -> Origin:
         """What a row is made from."""

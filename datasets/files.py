@@ -6,12 +6,15 @@ import json
 import math
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 from . import safe_pickle
 from .findings import shown
 
-__all__ = ["check_file", "load_pickle", "present", "read_bytes", "read_json"]
+__all__ = ["check_file", "load_pickle", "open_regular", "present", "read_bytes", "read_json"]
 
 MAX_JSON = 2**24  # bytes; metadata of a recording is some kilobytes
 MAX_DEPTH = 32  # nested lists and objects; intrinsics need 4
@@ -32,8 +35,9 @@ def check_file(file: Path) -> int:
         raise _unreadable(file, failure) from None
 
 
-def read_bytes(file: Path, limit: int = 2**31) -> bytes:
-    """The content of a regular file of at most ``limit`` bytes. Raises ValueError naming it."""
+@contextmanager
+def open_regular(file: Path, limit: int = 2**31) -> Iterator[BinaryIO]:
+    """The regular file ``file`` of at most ``limit`` bytes, open for reading. Raises ValueError naming it."""
     try:
         # a named pipe would wait for its writer for ever: it is opened without waiting, and refused
         descriptor = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -41,12 +45,18 @@ def read_bytes(file: Path, limit: int = 2**31) -> bytes:
             if (size := _size(file, os.fstat(descriptor))) > limit:
                 raise ValueError(f"{file}: must hold at most {limit} bytes, got {size}")
             with open(descriptor, "rb", closefd=False) as stream:
-                return stream.read(limit)
+                yield stream
         finally:
             os.close(descriptor)
     except OSError as failure:
         check_file(file)  # what cannot be opened may be a socket
         raise _unreadable(file, failure) from None
+
+
+def read_bytes(file: Path, limit: int = 2**31) -> bytes:
+    """The content of a regular file of at most ``limit`` bytes. Raises ValueError naming it."""
+    with open_regular(file, limit) as stream:
+        return stream.read(limit)
 
 
 def load_pickle(file: Path):

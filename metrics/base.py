@@ -20,8 +20,8 @@ from ..datasets.scenario import Camera, Scenario
 __all__ = ["Metric", "Prediction", "Rendered", "Score", "Unscorable", "get_metric", "lacking", "metrics", "score", "scores"]
 
 # what rows say beside their metrics, so that no metric can be called so
-_COLUMNS = """collection scenario sources method task seed preset split appearance data_checksum code_checksum status reason diverged_frame
-note frames
+_COLUMNS = """collection scenario sources method task seed preset split appearance data_checksum images_checksum code_checksum
+status reason diverged_frame note frames
 fit_seconds rollout_seconds peak_memory_mib peak_device_memory_mib device commit python numpy torch warp twinbench date"""
 COLUMNS = frozenset(_COLUMNS.split())
 

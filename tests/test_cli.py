@@ -9,36 +9,14 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
-import numpy as np
 import pytest
+from things import write_things
 from twinbench.benchmark.cli import main
-from twinbench.datasets.phystwin import write_case
-from twinbench.datasets.scenario import Scenario, Split
-
-
-def scenario(seed):
-    random = np.random.default_rng(seed)
-    shift = np.zeros((10, 1, 3))
-    shift[:, 0, 2] = -0.01 * np.arange(10)
-    points = random.uniform(-0.1, 0.1, size=(12, 3)) + np.array([0, 0, -0.3]) + shift
-    return Scenario(
-        name="",
-        points=points,
-        visible=np.ones((10, 12), bool),
-        motion_valid=np.ones((10, 12), bool),
-        controllers=points[:, :4] + 0.01,
-        split=Split(7, 10),
-        tracks=points[:, :3],
-        object="thing",
-    )
 
 
 @pytest.fixture(scope="module")
 def cases(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("cases") / "thing"
-    for seed, name in enumerate(("lift_once", "lift_twice")):
-        write_case(folder / name, scenario(seed))
-    return folder
+    return write_things(tmp_path_factory.mktemp("cases") / "thing")
 
 
 @pytest.fixture(autouse=True)

@@ -11,6 +11,7 @@ from .curve import Curve
 from .diagnose import Diagnose
 from .download import Download
 from .export import Export
+from .leaderboard import Leaderboard
 from .list import List
 from .picture import Picture
 from .plan import Plan
@@ -35,6 +36,7 @@ COMMANDS = {
     "conform": Conform,
     "score": Score,
     "export": Export,
+    "leaderboard": Leaderboard,
     "play": Play,
     "video": Video,
     "capture": Capture,

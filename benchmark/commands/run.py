@@ -74,6 +74,7 @@ class Run:
         from ..folders import name_for
         from ..published import compared, terminal
         from ..published_figure import undrawable
+        from ..run_files import said_of
         from ..status import FAULTS
 
         experiment, own = study.experiment, "" if alone else study.experiment.name
@@ -91,7 +92,7 @@ class Run:
         notes = [found.note for found, _ in study.work if found.note]
         for note in notes:
             print(shown(note))
-        print(f"\nWritten to {shown(str(results.folder))}: {', '.join(sorted(file.name for file in results.folder.iterdir()))}")
+        print(f"\n{said_of(results)}")
         if board:
             print(f"\nWritten to {shown(str(board))}: leaderboard.csv, leaderboard.md, leaderboard.tex")
         if report:

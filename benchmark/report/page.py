@@ -10,8 +10,9 @@ from ...diagnosis.page.document import asset, embedded, policy, script
 from ..plan import TASKS
 from ..results import Results
 from ..table import Sheet, remarks, sheets
+from .sorting import Cell, Head, sortable_table
 
-__all__ = ["page"]
+__all__ = ["listed", "page"]
 
 SHARED = ("drawing.js", "curve.js")
 
@@ -19,18 +20,18 @@ SHARED = ("drawing.js", "curve.js")
 def page(results: Results, shown: Sequence[dict], methods: Mapping[str, str], notes: Iterable[str]) -> str:
     """The whole file. ``shown`` are exhibits as ``show`` gives them, ``methods`` says what each method is."""
     boards = sheets(results)
-    code = script(*map(asset, SHARED), asset("report.js", __package__))
+    code = script(*map(asset, SHARED), asset("sortable.js", __package__), asset("report.js", __package__))
     collections = list(dict.fromkeys(row["collection"] for row in results.rows))
     return Template(asset("report.html", __package__)).substitute(
         title=escape(f"Digital twins of {', '.join(collections)}"),
         policy=policy(code),
-        style=asset("base.css") + asset("report.css", __package__),
+        style=asset("base.css") + asset("sortable.css", __package__) + asset("report.css", __package__),
         script=code,
         lead=escape(_lead(results)),
         tables="".join(map(_table, boards)),
-        remarks=_list([*remarks(results), *notes]),
+        remarks=listed([*remarks(results), *notes]),
         methods=_methods(results, methods),
-        origin=_list([*_origin(results), *filter(None, dict.fromkeys(results.citations.values()))]),
+        origin=listed([*_origin(results), *filter(None, dict.fromkeys(results.citations.values()))]),
         data=embedded(
             {
                 "shown": list(dict.fromkeys(metric for sheet in boards for metric in sheet.block.metrics)),
@@ -46,21 +47,14 @@ def page(results: Results, shown: Sequence[dict], methods: Mapping[str, str], no
 
 def _table(sheet: Sheet) -> str:
     """One table; its lines can be put in order of any column, published ones staying below ours."""
-    head = "".join(
-        f'<th scope="col" aria-sort="none"><button type="button">{escape(name).replace("_", "_<wbr>")}</button></th>'
-        for name in sheet.header
-    )
     lines = list(zip(sheet.block.lines, sheet.cells, strict=True))
-    bodies = [("ours", [cells for line, cells in lines if not line.published]), ("published", [c for line, c in lines if line.published])]
-    body = "".join(f'<tbody class="{kind}">{"".join(map(_line, found))}</tbody>' for kind, found in bodies if found)
-    start = f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(sheet.caption)}">'
-    return f'<h3>{escape(sheet.caption)}</h3>{start}<table class="sortable"><thead><tr>{head}</tr></thead>{body}</table></div>'
+    bodies = {"ours": [c for line, c in lines if not line.published], "published": [c for line, c in lines if line.published]}
+    found = [(kind, [[_cell(*cell) for cell in cells] for cells in body]) for kind, body in bodies.items()]
+    return f"<h3>{escape(sheet.caption)}</h3>{sortable_table(sheet.caption, [Head(name) for name in sheet.header], found)}"
 
 
-def _line(cells: Sequence[tuple[str, bool]]) -> str:
-    (name, _), *rest = cells
-    shown = (f"<td>{f'<strong>{escape(text.strip())}</strong>' if best else escape(text.strip())}</td>" for text, best in rest)
-    return f'<tr><th scope="row">{escape(name)}</th>{"".join(shown)}</tr>'
+def _cell(text: str, best: bool) -> Cell:
+    return Cell(f"<strong>{escape(text.strip())}</strong>" if best else escape(text.strip()))
 
 
 def _lead(results: Results) -> str:
@@ -103,5 +97,6 @@ def _origin(results: Results) -> list[str]:
     return [*said, *([f"computed: {dates[0]}" + (f" to {dates[-1]}" if dates[-1] != dates[0] else "")] if dates else [])]
 
 
-def _list(items: Iterable[str]) -> str:
+def listed(items: Iterable[str]) -> str:
+    """A list of plain texts."""
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"

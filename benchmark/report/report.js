@@ -1,29 +1,7 @@
-// Sorts the tables, and shows one recording at a time: pictures or points, curves and scores, all at the frame of the slider.
+// Shows one recording at a time: pictures or points, curves and scores, all at the frame of the slider.
 
 const SERIES = 8; // colours; further methods have them again, dashed
 const FEW = 60; // points, as on a cable, are drawn larger
-
-// Lines in the order of a column: the best of a column of numbers is not known here, so the first click ascends and the next descends.
-function sortable(table) {
-  const heads = [...table.tHead.rows[0].cells];
-  const value = (row, column) => {
-    const text = row.cells[column].textContent.trim();
-    return column ? parseFloat(text) : text;
-  };
-  heads.forEach((head, column) => {
-    head.querySelector("button").addEventListener("click", () => {
-      const down = head.getAttribute("aria-sort") === "ascending";
-      heads.forEach((other) => other.setAttribute("aria-sort", other === head ? (down ? "descending" : "ascending") : "none"));
-      const order = (a, b) => {
-        const [x, y] = [value(a, column), value(b, column)];
-        if (x === y) return 0;
-        if (column && (Number.isNaN(x) || Number.isNaN(y))) return Number.isNaN(x) - Number.isNaN(y); // what has no value stays last
-        return (x < y) === down ? 1 : -1;
-      };
-      for (const body of table.tBodies) body.append(...[...body.rows].sort(order));
-    });
-  });
-}
 
 function made(tag, attributes = {}, ...children) {
   const found = document.createElement(tag);

@@ -1,0 +1,41 @@
+"""What a run leaves behind: a folder of its own with rows, tables, leaderboard and published figures, and what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from .folders import publish
+from .leaderboard import write_leaderboard
+from .published import write_published
+from .results import Results, write_results
+from .text import shown
+
+__all__ = ["said_of", "write_run"]
+
+
+def write_run(
+    results: Results, place: Path, *, says: str = "", published: Sequence[str] | None = None, board: Path | None = None
+) -> Results:
+    """``results`` with the new ``folder`` in ``place`` that they were written to; their leaderboard goes there, or to ``board``.
+
+    ``says`` is what the tables ask, ``published`` the methods of the paper that stand beside them (None means all).
+    """
+
+    def everything(folder: Path) -> None:
+        write_results(results, folder)
+        write_published(results, folder)
+        if board is None:
+            write_leaderboard(results, folder, says=says, published=published)
+
+    folder = publish(place, datetime.fromisoformat(results.origin["started"]), everything)
+    if board is not None:
+        write_leaderboard(results, board, says=says, published=published)
+    return replace(results, folder=folder)
+
+
+def said_of(results: Results) -> str:
+    """The line that says where they were written."""
+    return f"Written to {shown(str(results.folder))}: {', '.join(sorted(file.name for file in results.folder.iterdir()))}"
