@@ -24,6 +24,7 @@ __all__ = ["DaskWorkers"]
 CONNECT = 10.0  # s in which the scheduler must answer
 LEAVE = 0.3  # s to say good-bye in: a command that is stopped has less than a second left
 WANTED = ("executing", "long-running", "resumed")  # states of a task, as its worker knows it, in which somebody waits for it
+LEAVING = ("closing", "closed", "failed")  # states of a worker that waits for nothing but the end of its threads
 log = logging.getLogger("twinbench")
 
 
@@ -128,7 +129,7 @@ def _work(packed: bytes, device: str) -> bytes:
 
     def wanted() -> bool:
         task = worker.state.tasks.get(key)
-        return task is not None and task.state in WANTED
+        return task is not None and task.state in WANTED and worker.status.name not in LEAVING
 
     with claimed(cards(device)) as card:
         return in_child(packed, share(count) | ({VISIBLE: card} if card else {}), wanted)
