@@ -34,7 +34,7 @@ def recordings_of(paths: Sequence[str]) -> dict[str, str]:
         inside = {name: f"{path}/{name}" for name in names} if len(names) > 1 else {Path(path).name: path}
         for name, place in inside.items():
             check_name(name, where=path)
-            if name in found:
+            if found.get(name, place) != place:
                 raise ValueError(f"two recordings are called {name!r}: {found[name]} and {place}; diagnose them into two folders (--out)")
             found[name] = place
     return found
