@@ -74,7 +74,7 @@ def test_every_recording_is_diagnosed_by_itself_and_what_is_there_is_kept(things
 def test_recordings_are_found_by_name(things):
     assert recordings_of(["things", "alone"]) == {"lift": "things/lift", "push": "things/push", "alone": "alone"}
     assert recordings_of(["sample"]) == {name: f"sample/{name}" for name in ("plush_drag", "plush_lift")}
-    with pytest.raises(ValueError, match="two recordings are called 'lift': things/lift and .*lift; diagnose them into two folders"):
+    with pytest.raises(ValueError, match=r"two recordings are called 'lift': things/lift and .*lift; diagnose them into two folders"):
         recordings_of(["things", str(things / "things" / "lift")])
     with pytest.raises(ValueError, match="no recording at nowhere"):
         recordings_of(["nowhere"])
