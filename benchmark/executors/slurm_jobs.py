@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import time
@@ -38,7 +39,7 @@ class Jobs:
     def __init__(self, executor, folder: Path):
         self._executor, self._folder = executor, folder
         self._running: dict = {}
-        self._since: dict[object, float] = {}
+        self._gone: dict[object, float] = {}  # since when they are seen to have ended, where no file says so
         self._ids: set[str] = set()
         self._asked = time.monotonic()
 
@@ -61,12 +62,13 @@ class Jobs:
     def ended(self) -> list[tuple[object, bytes | Lost]]:
         """The pieces whose jobs have ended since the last call: what ``perform`` returned, or how the job was lost."""
         if self._slurm and self._running and time.monotonic() - self._asked > ASK:
-            job = next(iter(self._running.values()))
-            job.watcher.get_info(job.job_id, mode="force")  # of all jobs
             self._asked = time.monotonic()
+            if (queued := _queued(self._ids)) is not None:
+                gone = [name for name, job in self._running.items() if job.job_id not in queued]
+                self._gone = {name: self._gone.get(name, self._asked) for name in gone}
         found = [(name, outcome) for name, job in self._running.items() if (outcome := self._outcome(name, job)) is not None]
         for name, _ in found:
-            self._running.pop(name), self._since.pop(name, None)
+            self._running.pop(name), self._gone.pop(name, None)
         return found
 
     def cancel(self) -> None:
@@ -83,13 +85,13 @@ class Jobs:
         return self._executor.cluster == "slurm"
 
     def _outcome(self, name, job) -> bytes | Lost | None:
-        if not job.done():
-            return None
-        if self._executor.cluster != "debug" and not job.paths.result_pickle.exists():
-            since = self._since.setdefault(name, time.monotonic())
-            if self._slurm and time.monotonic() - since < LATE:
+        if self._executor.cluster == "debug":
+            job.wait()
+        elif not job.paths.result_pickle.exists():
+            now = time.monotonic()
+            if now - self._gone.get(name, now) <= LATE if self._slurm else not job.done():
                 return None
-            state = job.state
+            state = _state(job.job_id) if self._slurm else job.state
             return Lost(f"job {job.job_id} ended without a result ({state}){_told(job)}", state.upper().startswith(HOPELESS))
         try:
             return job.result()
@@ -108,6 +110,27 @@ def cancel_orphans(folder: Path) -> int:
                 file.unlink()
                 killed += 1
     return killed
+
+
+def _queued(ids: set[str]) -> set[str] | None:
+    """Which of these jobs wait or run, each job of an array for itself; None where Slurm does not say."""
+    asked = ["squeue", "--noheader", "--array", "--format=%i", f"--jobs={','.join(sorted(ids))}"]
+    try:
+        told = subprocess.run(asked, capture_output=True, text=True, timeout=ASK, check=False)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    if told.returncode == 0:
+        return set(told.stdout.split())
+    return set() if "Invalid job id" in told.stderr else None  # what it says of one that has ended some time ago
+
+
+def _state(job: str) -> str:
+    """How a job ended, in a word of Slurm's. It is asked of the controller, which knows for minutes: not every cluster has accounting."""
+    with suppress(OSError, subprocess.SubprocessError):
+        told = subprocess.run(["scontrol", "show", "job", job], capture_output=True, text=True, timeout=ASK, check=False)
+        if found := re.search(r"\bJobState=(\w+)", told.stdout):
+            return found[1]
+    return "unknown"
 
 
 def _scancel(ids: list[str]) -> None:

@@ -1,6 +1,6 @@
-"""Slurm's programs, as far as submitit calls them: jobs are processes of this machine, with what Slurm says to them in the environment.
+"""Slurm's programs, as far as they are called: jobs are processes of this machine, with what Slurm says to them in the environment.
 
-``install(folder)`` writes sbatch, srun, sacct and scancel; the folder then goes first into PATH. Every call of sbatch is kept as ``ID.sh``.
+``install(folder)`` writes them; the folder then goes first into PATH. What sbatch is given is kept as ``ID.sh``.
 """
 
 import sys
@@ -12,6 +12,9 @@ here = os.path.dirname(os.path.abspath(__file__))
 text = open(sys.argv[-1]).read()
 number = str(1000 + len([f for f in os.listdir(here) if f.endswith(".sh")]))
 open(f"{here}/{number}.sh", "w").write(text)
+array = re.search(r"--array=0-(\\d+)%", text)
+for name in [f"{number}_{k}" for k in range(int(array[1]) + 1)] if array else [number]:
+    open(f"{here}/{name}.queued", "w").close()
 subprocess.Popen([sys.executable, f"{here}/controller", number], start_new_session=True, stdin=subprocess.DEVNULL,
                  stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 print("Submitted batch job", number)
@@ -29,6 +32,7 @@ def run(k):
     said |= {"SLURM_LOCALID": "0", "SLURM_CPUS_PER_TASK": "1"}
     said |= {"SLURM_ARRAY_JOB_ID": number, "SLURM_ARRAY_TASK_ID": str(k)} if array else {}
     if os.path.exists(f"{here}/{number}.cancelled"):
+        open(f"{here}/{name}.state", "w").write("CANCELLED")
         return
     started = subprocess.Popen(["bash", f"{here}/{number}.sh"], env=os.environ | said, start_new_session=True)
     open(f"{here}/{name}.pid", "w").write(str(started.pid))
@@ -45,14 +49,19 @@ while words[0].startswith("--"):
     words = words[2:] if words[0] in ("--output", "--error") else words[1:]
 os.execvp(words[0], words)
 """
-SACCT = """
-import os
+SQUEUE = """
+import os, sys
 here = os.path.dirname(os.path.abspath(__file__))
-print("JobID|State|NodeList")
+asked = set(next(word for word in sys.argv if word.startswith("--jobs="))[7:].split(","))
 for file in os.listdir(here):
-    if file.endswith(".pid"):
-        state = f"{here}/{file[:-4]}.state"
-        print(f"{file[:-4]}|{open(state).read() if os.path.exists(state) else 'RUNNING'}|here")
+    name, _, kind = file.partition(".")
+    if kind == "queued" and name.partition("_")[0] in asked and not os.path.exists(f"{here}/{name}.state"):
+        print(name)
+"""
+SCONTROL = """
+import os, sys
+here = os.path.dirname(os.path.abspath(__file__))
+print(f"JobId={sys.argv[-1]} JobState={open(f'{here}/{sys.argv[-1]}.state').read()} Reason=None")
 """
 SCANCEL = """
 import os, signal, sys
@@ -65,9 +74,12 @@ for number in sys.argv[1:]:
 """
 
 
+PROGRAMS = {"sbatch": SBATCH, "srun": SRUN, "squeue": SQUEUE, "scontrol": SCONTROL, "scancel": SCANCEL, "controller": CONTROLLER}
+
+
 def install(folder):
     """Write the programs into ``folder``."""
-    for name, source in {"sbatch": SBATCH, "srun": SRUN, "sacct": SACCT, "scancel": SCANCEL, "controller": CONTROLLER}.items():
+    for name, source in PROGRAMS.items():
         file = Path(folder) / name
         file.write_text(f"#!{sys.executable}\n{source}")
         file.chmod(0o755)
