@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from twinbench.benchmark import config
 from twinbench.benchmark.challenge.commands import Answer, Make
@@ -40,17 +40,18 @@ def test_a_run_is_done_again_by_the_file_that_it_writes(tmp_path):
     assert rows("one/latest") == rows("two/latest") and len(rows("one/latest")) == 2
     said = [json.loads(Path(folder, "latest", "about.json").read_text())["run"]["options"] for folder in ("one", "two")]
     assert said[0] == said[1]
-    assert main(["run", "--config=one/latest/config.toml", "--tasks", "resimulation", "--out", "three", "--quiet"]) == 0
-    assert ",resimulation," in Path("three/latest/rows.csv").read_text()  # the command line counts more
-    assert main(["run", "--config", "one/latest/config.toml", "--executor", "slurm", "--slurm", "cluster=debug", "--out", "four"]) == 0
-    assert rows("four/latest") == rows("one/latest")
-    assert tomllib.loads(Path("four/latest/config.toml").read_text())["slurm"] == ["cluster=debug"]
+    pytest.importorskip("submitit")
+    cluster = ["--executor", "slurm", "--slurm", "cluster=debug", "--tasks", "resimulation"]  # the command line counts more
+    assert main(["run", "--config=one/latest/config.toml", *cluster, "--out", "three"]) == 0
+    assert ",resimulation," in Path("three/latest/rows.csv").read_text()
+    assert tomllib.loads(Path("three/latest/config.toml").read_text())["slurm"] == ["cluster=debug"]
 
 
 texts = st.text(st.characters(codec="utf-8"), max_size=20)
 values = st.one_of(st.booleans(), st.integers(-(2**62), 2**62), st.floats(allow_nan=False, allow_infinity=False), texts)
 
 
+@settings(max_examples=50)
 @given(st.dictionaries(st.from_regex(r"[a-z_]{1,8}", fullmatch=True), values | st.lists(texts, max_size=3), max_size=5))
 def test_what_is_written_is_what_is_read(options):
     options.pop("command", None)

@@ -91,7 +91,7 @@ def test_a_killed_workers_piece_is_done_again_and_rows_are_those_of_one_process(
     assert found == {name: name for name in "abcd"}
     assert sorted(name for name, *_ in pieces.begun(tmp_path / "begun")) == sorted([*"abcd", lost])  # one was begun twice
 
-    common, cache = settings("static", "rigid"), Cache(tmp_path / "one")
+    common, cache = settings("rigid"), Cache(tmp_path / "one")
     opened = open_recordings("sample", split="published", cache=cache)
     fits = plan(opened.collection, methods=common.methods, scenarios=opened.collection.in_domain[:1])
     alone = Runner(opened, common, cache).run(fits)

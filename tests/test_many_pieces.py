@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
-from challenges import FAKES, drawn, filmed, with_fakes
+from challenges import FAKES, TINY, filmed, with_fakes, without_simulators
 from numpy.random import default_rng
 from twinbench.benchmark.cli import main
 from twinbench.benchmark.diagnosing import recordings_of
-from twinbench.datasets.concealed import make as making
-from twinbench.datasets.concealed.engines import engine
+from twinbench.benchmark.executors.slurm import Slurm
+from twinbench.datasets.concealed.make import make
 from twinbench.datasets.phystwin import write_case
 from twinbench.diagnosis import diagnose as module
 
@@ -96,24 +96,27 @@ def test_what_does_not_go_together_is_said(things, asked, options, message, caps
 
 def test_a_challenge_is_the_same_whoever_makes_and_answers_it(tmp_path, monkeypatch, capsys):
     with_fakes(monkeypatch, {"guess": FAKES["guess"]})
-    monkeypatch.setattr(making, "build", drawn)
-    monkeypatch.setattr(making, "require", lambda names: [engine(name) for name in names])
-    monkeypatch.setattr(making, "_here", lambda work, jobs: ((name, Done(piece())) for name, piece in work.items()))
-    for name, how in (("here", []), ("there", CLUSTER)):
-        assert main(["challenge", "make", "--out", name, "--seed", "s", "--engines", "mujoco", *how]) == 0
-        assert main(["challenge", "answer", name, "--entrants", "guess", *how]) == 0
+    without_simulators(monkeypatch)
+    for name, executor in (("here", None), ("there", Slurm(["cluster=debug"]))):
+        make(tmp_path / name, preset=TINY, seed="s", engines=("mujoco",), executor=executor)
     here, there = (json.loads(Path(name, "manifest.json").read_text()) for name in ("here", "there"))
-    assert here == there and len(here["cases"]) == 18
+    assert here == there and len(here["cases"]) > 5
+    for name, how in (("here", []), ("there", CLUSTER)):
+        assert main(["challenge", "answer", name, "--entrants", "guess", *how]) == 0
     sealed = [json.loads(Path(name, "answers/guess/sealed.json").read_text()) for name in ("here", "there")]
     assert set(sealed[0]["answers"]) == set(sealed[1]["answers"]) == set(here["cases"])
     assert not list(Path("there").glob(".*"))  # nothing is left in what is handed out
 
 
-class Done:
-    """A future that has ended."""
+def test_the_command_hands_its_executor_to_who_makes(tmp_path, monkeypatch):
+    asked = {}
 
-    def __init__(self, value):
-        self.value = value
+    def make(out, **options):
+        asked.update(options)
+        raise ValueError("enough")
 
-    def result(self):
-        return self.value
+    monkeypatch.setattr("twinbench.datasets.concealed.make.make", make)
+    assert main(["challenge", "make", "--out", "set", "--seed", "s", *CLUSTER, "--jobs", "3"]) == 2
+    assert isinstance(asked["executor"], Slurm) and asked["executor"].jobs == 3
+    assert main(["challenge", "make", "--out", "set", "--seed", "s"]) == 2
+    assert asked["executor"] is None and asked["jobs"] == 1

@@ -15,7 +15,7 @@ from twinbench.datasets import temporary
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
 
-ROUNDS = 60
+ROUNDS = 25
 SIZE = 20_000  # numbers of an entry: written in many pieces
 
 
@@ -94,6 +94,7 @@ def fit(root, barrier, queue):
     queue.put([row["track_error"] for row in runner.run(fits)])
 
 
+@pytest.mark.slow
 def test_two_nodes_that_fit_the_same_thing_at_once_agree(tmp_path):
     context = multiprocessing.get_context("spawn")
     barrier, queue = context.Barrier(2), context.Queue()
