@@ -119,6 +119,13 @@ def test_pieces_are_an_array_of_jobs(slurm, tmp_path):
     assert sorted(file.name for file in slurm.glob("*.sh")) == ["1000.sh", "1001.sh"]  # two and one
 
 
+def test_what_the_cluster_refuses_is_one_line(slurm, tmp_path):
+    (slurm / "sbatch").write_text("#!/bin/sh\necho 'sbatch: error: invalid partition specified: shrot' >&2\nexit 1\n")
+    with pytest.raises(OSError, match=r"the cluster refuses the jobs: .*invalid partition specified: shrot"):
+        results(Slurm(["partition=shrot"], folder=tmp_path / "jobs"), {"a": os.getpid})
+    assert not list((tmp_path / "jobs").iterdir())
+
+
 @pytest.mark.slow
 def test_a_lost_job_is_done_again(slurm, tmp_path, caplog):
     found = results(Slurm(folder=tmp_path / "jobs"), {"died": partial(pieces.dies_once, tmp_path), "b": partial(pow, 2, 2)})

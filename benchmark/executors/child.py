@@ -55,7 +55,7 @@ class _Child:
         env = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         command = [sys.executable, "-m", __name__, str(theirs.fileno())]
         # its standard input ends when this process does
-        self._process = subprocess.Popen(command, pass_fds=(theirs.fileno(),), stdin=subprocess.PIPE, stdout=sys.stderr, env=env)
+        self._process = subprocess.Popen(command, pass_fds=(theirs.fileno(),), stdin=subprocess.PIPE, stdout=2, env=env)
         theirs.close()
 
     def do(self, packed: bytes, wanted: Callable[[], bool]) -> bytes:
