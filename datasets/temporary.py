@@ -22,7 +22,7 @@ try:
 except ImportError:  # no such locks: left-overs are told by their age
     fcntl = None
 
-__all__ = ["idle", "locked", "remove", "replacing", "scratch", "sweep", "young"]
+__all__ = ["idle", "lasting", "locked", "remove", "replacing", "scratch", "sweep"]
 
 HOUR = 3600.0  # s
 DAY = 86400.0  # s; longer than any write of a live process, where it cannot be asked whether it lives
@@ -60,21 +60,24 @@ def scratch(folder: Path, path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def young(*paths: Path) -> Iterator[None]:
-    """Temporary names that are needed for longer than a day stay, also where a disk has no locks and left-overs are told by their age."""
-    done = threading.Event()
+def lasting(folder: Path, path: Path) -> Iterator[Path]:
+    """As ``scratch``, for the time of a whole command: it stays for days, also where a disk has no locks and left-overs are told by their
+    age; and errors in the block are not the disk's.
+    """
+    made, done = scratch(folder, path), threading.Event()
+    temporary = made.__enter__()
 
     def touch() -> None:
         while not done.wait(HOUR):
-            for path in paths:
-                with suppress(OSError):
-                    os.utime(path)
+            with suppress(OSError):
+                os.utime(temporary)
 
     threading.Thread(target=touch, daemon=True).start()
     try:
-        yield
+        yield temporary
     finally:
         done.set()
+        made.__exit__(None, None, None)
 
 
 def sweep(folder: Path, *, dry: bool = False) -> list[tuple[Path, int]]:

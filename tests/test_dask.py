@@ -144,10 +144,10 @@ def test_a_scheduler_that_goes_is_one_sentence(tmp_path):
     with cluster(tmp_path, 1) as (address, _, scheduler):
         work = {"a": partial(pieces.waits, tmp_path / "begun", "a", seconds=600)}
         with ThreadPoolExecutor(1) as pool:
-            asked = pool.submit(lambda: list(DaskWorkers(address).each(work)))
+            asked = pool.submit(lambda: list(DaskWorkers(address).each(work, writes=[tmp_path])))
             until(lambda: pieces.begun(tmp_path / "begun"))
             scheduler.kill()
-            with pytest.raises(OSError, match=r"the scheduler at tcp://127\.0\.0\.1:\d+ is gone"):
+            with pytest.raises(OSError, match=r"^the scheduler at tcp://127\.0\.0\.1:\d+ is gone"):
                 asked.result(LATE)
         until(lambda: not alive(pieces.begun(tmp_path / "begun")[0][1]))
 
@@ -157,10 +157,10 @@ def test_a_path_that_workers_do_not_see_is_named(two, tmp_path):
         list(DaskWorkers(two[0]).each({"a": os.getpid}, reads=[tmp_path / "nowhere"]))
 
 
-def test_no_scheduler_is_one_line(monkeypatch):
+def test_no_scheduler_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr("twinbench.benchmark.executors.dask_workers.CONNECT", 0.5)
-    with pytest.raises(OSError, match=r"--scheduler tcp://127\.0\.0\.1:9: no scheduler of dask answers there"):
-        list(DaskWorkers("tcp://127.0.0.1:9").each({"a": os.getpid}))
+    with pytest.raises(OSError, match=r"^--scheduler tcp://127\.0\.0\.1:9: no scheduler of dask answers there"):
+        list(DaskWorkers("tcp://127.0.0.1:9").each({"a": os.getpid}, writes=[tmp_path]))
 
 
 def test_a_card_has_one_piece_at_a_time():

@@ -3,6 +3,7 @@
 import errno
 import json
 import multiprocessing
+import os
 import time
 
 import numpy as np
@@ -120,14 +121,12 @@ def test_a_damaged_entry_is_replaced_without_locks(tmp_path, monkeypatch):
 
 
 def test_names_that_are_needed_stay_young(tmp_path, monkeypatch):
-    import os
-
     monkeypatch.setattr(temporary, "HOUR", 0.02)
-    file = tmp_path / "mark"
-    file.touch()
-    os.utime(file, (0, 0))
-    with temporary.young(file):
+    with pytest.raises(OSError, match=r"^nothing of the disk's$"), temporary.lasting(tmp_path, tmp_path / "mark") as made:
+        os.utime(made, (0, 0))
         late = time.monotonic() + 10
-        while file.stat().st_mtime < 1e9 and time.monotonic() < late:
+        while made.stat().st_mtime < 1e9 and time.monotonic() < late:
             time.sleep(0.01)
-    assert time.time() - file.stat().st_mtime < 60
+        assert time.time() - made.stat().st_mtime < 60
+        raise OSError("nothing of the disk's")
+    assert not list(tmp_path.iterdir())

@@ -121,8 +121,8 @@ def test_pieces_are_an_array_of_jobs(slurm, tmp_path):
 
 def test_what_the_cluster_refuses_is_one_line(slurm, tmp_path):
     (slurm / "sbatch").write_text("#!/bin/sh\necho 'sbatch: error: invalid partition specified: shrot' >&2\nexit 1\n")
-    with pytest.raises(OSError, match=r"the cluster refuses the jobs: .*invalid partition specified: shrot"):
-        results(Slurm(["partition=shrot"], folder=tmp_path / "jobs"), {"a": os.getpid})
+    with pytest.raises(OSError, match=r"^the cluster refuses the jobs: .*invalid partition specified: shrot"):
+        results(Slurm(["partition=shrot"], folder=tmp_path / "jobs"), {"a": os.getpid}, writes=[tmp_path])
     assert not list((tmp_path / "jobs").iterdir())
 
 

@@ -19,7 +19,7 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from ...datasets.temporary import scratch, young
+from ...datasets.temporary import lasting
 from .base import failed
 
 __all__ = ["Place", "Unshared", "future_of", "pack", "perform", "place"]
@@ -83,9 +83,8 @@ def place(reads: Sequence = (), writes: Sequence = ()) -> Iterator[Place]:
     Raises OSError where one of them cannot be written.
     """
     with ExitStack() as stack:
-        marks = [stack.enter_context(scratch(Path(folder).resolve(), Path(folder) / "shared")) for folder in writes]
+        marks = [stack.enter_context(lasting(Path(folder).resolve(), Path(folder) / "shared")) for folder in writes]
         level = logging.getLogger("twinbench").getEffectiveLevel()
-        stack.enter_context(young(*marks))
         there = tuple(os.path.abspath(path) for path in reads)
         yield Place(os.getcwd(), there, tuple(map(str, marks)), tuple(map(os.path.abspath, sys.path)), code_digest(), level)
 

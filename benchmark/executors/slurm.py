@@ -13,7 +13,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import ClassVar
 
-from ...datasets.temporary import scratch, young
+from ...datasets.temporary import lasting
 from ...physics.cores import cores
 from ..cache import default_cache
 from .base import MAX_ATTEMPTS, Executor, failed
@@ -47,7 +47,7 @@ class Slurm(Executor):
     def each(self, work, *, device="cpu", reads=(), writes=()):
         if killed := cancel_orphans(self.folder):
             log.warning("jobs of %d commands that were killed are cancelled", killed)
-        with place(reads, writes) as where, scratch(self.folder, self.folder / self.name) as folder, young(folder):
+        with place(reads, writes) as where, lasting(self.folder, self.folder / self.name) as folder:
             packed = {name: pack(where, piece) for name, piece in work.items()}
             jobs = Jobs(self._submitit(folder, device), folder)
             try:
