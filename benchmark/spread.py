@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import partial
 
 from .cache import Cache
@@ -39,14 +39,24 @@ def spread(
     groups = _together(fits, settings)
     rows: dict[int, list[dict]] = {}
     progress("reading", 0.0)
+
+    def take(group: Sequence[int], done: Sequence[tuple[list[dict], str]]) -> None:
+        for k, (found, last) in zip(group, done, strict=True):
+            rows[k] = found
+            progress(last, len(rows) / len(fits))
+
+    if executor.remote:  # what is in the cache is no job
+        looker = _Looker(opened, settings, cache)
+        for group in groups:
+            with suppress(_Unknown):
+                take(group, _run(looker, [fits[k] for k in group]))
     where = opened.path, opened.split, opened.collection.name
-    work = {tuple(group): partial(_rows, where, settings, cache, [fits[k] for k in group]) for group in groups}
+    left = [group for group in groups if group[0] not in rows]
+    work = {tuple(group): partial(_rows, where, settings, cache, [fits[k] for k in group]) for group in left}
     seen = () if opened.path == "sample" else (folder_of(opened.path),)
     with closing(executor.each(work, device=settings.device, reads=seen, writes=(cache.root,))) as finished:
         for group, future in finished:
-            for k, (found, last) in zip(group, future.result(), strict=True):
-                rows[k] = found
-                progress(last, len(rows) / len(fits))
+            take(group, future.result())
     return [row for k in range(len(fits)) for row in rows[k]]
 
 
@@ -81,10 +91,27 @@ def _check_portable(opened: Opened, settings: Settings, rule: str) -> None:
 def _rows(where: tuple[str, str, str], settings: Settings, cache: Cache, fits: list[Fit]) -> list[tuple[list[dict], str]]:
     """The rows of each of ``fits`` and how it ended, in a process of its own."""
     path, split, name = where
-    runner = Runner(open_recordings(path, split=split, cache=cache).called(name), settings, cache)
+    return _run(Runner(open_recordings(path, split=split, cache=cache).called(name), settings, cache), fits)
+
+
+def _run(runner: Runner, fits: list[Fit]) -> list[tuple[list[dict], str]]:
     found = []
     for fit in fits:
         told: list[str] = []
         rows = runner.run([fit], progress=lambda label, _, told=told: told.append(label))
         found.append((rows, told[-2]))  # the last is "done"
     return found
+
+
+class _Unknown(Exception):
+    """Something must be read or computed."""
+
+
+class _Looker(Runner):
+    """Knows the rows that are in the cache, and reads and computes nothing. Raises _Unknown instead."""
+
+    def _load(self, name):
+        raise _Unknown
+
+    def _compute(self, fit, evaluations, report):
+        raise _Unknown

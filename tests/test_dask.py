@@ -99,6 +99,8 @@ def test_a_killed_workers_piece_is_done_again_and_rows_are_those_of_one_process(
     there = spread(opened, common, Cache(tmp_path / "two"), fits, executor=executor, progress=lambda _, done: told.append(done))
     plain = [[{k: v for k, v in row.items() if k not in TIMES} for row in rows] for rows in (alone, there)]
     assert plain[0] == plain[1] and told == sorted(told) and told[-1] == 1
+    nobody = DaskWorkers("tcp://127.0.0.1:9")  # what is in the cache is no work
+    assert spread(opened, common, Cache(tmp_path / "two"), fits, executor=nobody) == there
 
 
 def test_what_a_piece_raises_comes_back_and_a_process_that_is_killed_is_replaced(two, tmp_path, caplog):

@@ -41,6 +41,8 @@ class DaskWorkers(Executor):
         return {"executor": self.name, "scheduler": self.address, "jobs": self.jobs}
 
     def each(self, work, *, device="cpu", reads=(), writes=()):
+        if not work:
+            return
         with place(reads, writes) as where, self._client() as client:
             packed = {name: pack(where, piece) for name, piece in work.items()}
             under_way: dict = {}

@@ -29,6 +29,8 @@ class LocalProcesses(Executor):
         return {"executor": self.name, "jobs": self.jobs}
 
     def each(self, work, *, device="cpu", reads=(), writes=()):
+        if not work:
+            return
         devices = cards(device) if self.devices is None else self.devices
         with workers(max(1, min(self.jobs, len(work))), devices) as pool:
             yield from finished(pool, work)

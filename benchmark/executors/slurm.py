@@ -45,6 +45,8 @@ class Slurm(Executor):
         return {"executor": self.name, "slurm": list(self._given), "jobs": self.jobs}
 
     def each(self, work, *, device="cpu", reads=(), writes=()):
+        if not work:
+            return
         if killed := cancel_orphans(self.folder):
             log.warning("jobs of %d commands that were killed are cancelled", killed)
         with place(reads, writes) as where, lasting(self.folder, self.folder / self.name) as folder:
