@@ -16,6 +16,8 @@ from ..methods.base import Method
 from ..metrics.base import Metric
 from .ablations import ABLATIONS
 from .cache import Cache, default_cache
+from .config import config_text
+from .executors.base import Executor
 from .experiment import Experiment, Work
 from .opening import Opened, open_all
 from .options import DEVICES, SPLITS, chosen, chosen_methods, chosen_metrics, known, writable
@@ -43,17 +45,33 @@ class Study:
     options: Mapping
     jobs: int | None = None
     quiet: bool = False
+    executor: Executor | None = None
 
     @property
     def collections(self) -> list[str]:
         """Names of the recordings' collections."""
         return [found.collection.name for found, _ in self.work]
 
+    @property
+    def config(self) -> str:
+        """The file from which ``twinbench run --config`` does this again; "" where it cannot know the recordings or methods by name."""
+        from ..methods.registry import methods
+        from ..metrics.base import metrics
+
+        options, of = self.options, self.experiment
+        named = set(options["metrics"]) <= set(metrics()) and (options["ablation"] or set(options["methods"]) <= set(methods()))
+        written = all(found.path for found, _ in self.work) and not any(isinstance(one, _Unwritten) for one in of.methods.values())
+        if not (named and written):
+            return ""
+        data = [path if path == "sample" else os.path.abspath(path) for path in options["data"]]
+        return config_text("run", {**options, "data": data})
+
     def run(self) -> Results:
         """Its results. Raises as ``Experiment.run`` does."""
         began = datetime.now(UTC)
         device = self.options["device"]
-        results = self.experiment.run(self.work, cache=self.cache, budget=self.budget, device=device, jobs=self.jobs, quiet=self.quiet)
+        how = {"jobs": self.jobs, "quiet": self.quiet, "executor": self.executor}
+        results = self.experiment.run(self.work, cache=self.cache, budget=self.budget, device=device, **how)
         used = [*self.experiment.methods.values(), *self.experiment.metrics.values()]
         return replace(results, origin=origin(began, used, self.options))
 
@@ -61,7 +79,8 @@ class Study:
         """``results`` with the new ``folder`` in ``place`` that they were written to; their leaderboard goes there, or to ``board``."""
         from .run_files import write_run
 
-        return write_run(results, place, says=self.experiment.says, published=self.experiment.published, board=board)
+        asked = self.experiment
+        return write_run(results, place, says=asked.says, published=asked.published, board=board, config=self.config)
 
 
 def run(
@@ -77,6 +96,7 @@ def run(
     device: str = "cpu",
     split: str = "published",
     jobs: int | None = None,
+    executor: Executor | None = None,
     cache: str | os.PathLike | None = None,
     out: str | os.PathLike | None = None,
     quiet: bool = False,
@@ -91,6 +111,7 @@ def run(
     ablation   the name of an ablation to compare instead of methods
     preset     how much work a fit may do: "quick" or "full"
     jobs       how many processes share the work; the results are the same. Default: one for each graphics card, or this one
+    executor   who does the work instead, on a cluster (see ``benchmark.executors``): ``DaskWorkers(address)``, ``Slurm(options)``
     cache      folder of fitted twins and scored rows; default $TWINBENCH_CACHE or .cache/twinbench
     out        folder in which the run gets a folder of its own; nothing is written where it is None
 
@@ -109,6 +130,7 @@ def run(
         device=device,
         split=split,
         jobs=jobs,
+        executor=executor,
         cache=cache,
         quiet=quiet,
     )
@@ -132,6 +154,7 @@ def studies(
     device="cpu",
     split="published",
     jobs=None,
+    executor=None,
     cache=None,
     quiet=False,
 ) -> list[Study]:
@@ -153,11 +176,11 @@ def studies(
     if not planned:
         raise ValueError(f"nothing to do: no task of {', '.join(wanted[0].tasks)} is scored on the chosen recordings")
     shared = {"data": [found.path or found.collection.name for found in opened], "seeds": seeds, "scenarios": scenarios}
-    shared |= {"preset": preset, "device": device, "split": split, "jobs": jobs}
+    shared |= {"preset": preset, "device": device, "split": split, "jobs": jobs} | (executor.options if executor else {})
     found = []
     for one, work in planned:
         own = {"methods": list(one.methods), "metrics": list(one.metrics), "tasks": list(one.tasks), "ablation": one.name}
-        found.append(Study(one, work, store, defaults.budget, shared | own, jobs, quiet))
+        found.append(Study(one, work, store, defaults.budget, shared | own, jobs, quiet, executor))
     return found
 
 

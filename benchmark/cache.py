@@ -104,9 +104,8 @@ class Cache:
             (new / "entry.json").write_text(_sealed(kind, key, value, made), encoding="utf-8")
             final.parent.mkdir(parents=True, exist_ok=True)
             with locked(final.parent):  # what is looked at is what is replaced: a reader may hold a sound entry that has just come
-                if self.read_folder(kind, key) is None:
-                    if os.path.lexists(final):
-                        final.rename(temporary / "damaged")
+                if self.read_folder(kind, key) is None and not _renamed(new, final) and self.read_folder(kind, key) is None:
+                    final.rename(temporary / "damaged")
                     new.rename(final)
 
     def sweep(self, *, dry: bool = False) -> list[tuple[Path, int]]:
@@ -144,6 +143,17 @@ class Cache:
 
     def _file(self, kind: str, key: str) -> Path:
         return self.root / kind / key[:2] / f"{key}.json"
+
+
+def _renamed(new: Path, final: Path) -> bool:
+    """Whether the folder ``new`` is ``final`` now; not where something is there: on disks without locks, another node may be first."""
+    try:
+        new.rename(final)
+    except OSError:
+        if os.path.lexists(final):
+            return False
+        raise
+    return True
 
 
 def _sealed(kind: str, key: str, value: dict, made: dict | None) -> str:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import ClassVar
 
 from .stopping import stoppable
@@ -73,7 +75,10 @@ def _run(arguments: list[str]) -> int:
     """Imports come here, where Ctrl-C is heard."""
     import tyro
 
+    from .cluster_options import Reproducible
     from .commands import COMMANDS
+    from .config import configured
+    from .logs import logged
     from .options import known
     from .provenance import command_line
 
@@ -93,4 +98,20 @@ def _run(arguments: list[str]) -> int:
         says, prog, arguments = group.__doc__, f"twinbench {arguments[0]}", arguments[1:]
         if arguments and not arguments[0].startswith("-"):
             known("command", arguments[:1], commands)
-    return tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)()
+    if arguments and (file := _config(arguments)) and issubclass(kind := commands.get(arguments[0], object), Reproducible):
+        name = f"{prog} {arguments[0]}"
+        given = configured(name.removeprefix("twinbench "), kind, Path(file), missing=tyro.MISSING)
+        command = tyro.cli(kind, default=given, prog=name, args=arguments[1:])
+    else:
+        command = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)
+    with logged(command.log_level) if isinstance(command, Reproducible) else nullcontext():
+        return command()
+
+
+def _config(arguments: list[str]) -> str:
+    """The file behind ``--config``, or ""."""
+    for given, following in zip(arguments, [*arguments[1:], ""], strict=True):
+        name, equals, value = given.partition("=")
+        if name == "--config":
+            return value if equals else following
+    return ""

@@ -9,6 +9,7 @@ from ..methods.base import Method
 from ..metrics.base import Metric
 from .ablations import ABLATIONS, Ablation, with_clips
 from .cache import Cache
+from .executors.base import Executor
 from .opening import Opened
 from .plan import TASKS, Fit, plan
 from .processes import cards
@@ -69,15 +70,28 @@ class Experiment:
         """What all rows of a run have in common."""
         return Settings(self.methods, self.metrics, budget, device)
 
-    def run(self, work: Work, *, cache: Cache, budget: str, device: str, jobs: int | None = None, quiet: bool = False) -> Results:
-        """What comes of ``work``, computed by ``jobs`` processes: by default one for each graphics card, or one.
+    def run(
+        self,
+        work: Work,
+        *,
+        cache: Cache,
+        budget: str,
+        device: str,
+        jobs: int | None = None,
+        quiet: bool = False,
+        executor: Executor | None = None,
+    ) -> Results:
+        """What comes of ``work``, computed by ``executor``, or by ``jobs`` processes: by default one for each graphics card, or one.
 
         Raises as ``Runner.run`` and ``spread`` do, and ValueError where not one recording can be read.
         """
-        settings, devices, rows = self.settings(budget, device), cards(device), []
+        settings, rows = self.settings(budget, device), []
+        devices = () if executor else cards(device)  # those of this machine
         for found, fits in work:
             with Bar(" ".join(filter(None, (found.collection.name, self.name))), [fit.method for fit in fits], quiet=quiet) as bar:
-                if (count := jobs or (len(devices) if found.path else 1)) > 1:
+                if executor:
+                    rows += spread(found, settings, cache, fits, executor=executor, progress=bar)
+                elif (count := jobs or (len(devices) if found.path else 1)) > 1:
                     rows += spread(found, settings, cache, fits, devices, jobs=count, progress=bar)
                 else:
                     rows += Runner(found, settings, cache).run(fits, progress=bar)

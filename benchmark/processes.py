@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from ..datasets.pool import Pool
 from ..physics.cores import cores
 
-__all__ = ["cards", "end_children", "workers"]
+__all__ = ["VISIBLE", "cards", "end_children", "share", "workers"]
 
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # what numerical libraries read when they are loaded
@@ -58,13 +58,18 @@ class _Pool(Pool):
             return super().submit(*given, **named)
 
 
+def share(count: int) -> dict[str, str]:
+    """What the environment must say so that one of ``count`` processes uses its share of the cores, or fewer where it says so already."""
+    each = max(1, cores() // count)
+    asked = {name: int(value) for name in THREADS if (value := os.environ.get(name, "")).isdecimal()}
+    return {name: str(min(each, asked.get(name, each))) for name in THREADS}
+
+
 @contextmanager
 def _share(count: int) -> Iterator[None]:
     """Processes that are started in the block use at most their share of the cores, of ``count`` such processes."""
     before = {name: os.environ.get(name) for name in THREADS}
-    each = max(1, cores() // count)
-    asked = {name: int(value) for name, value in before.items() if value and value.isdecimal()}
-    os.environ.update({name: str(min(each, asked.get(name, each))) for name in THREADS})
+    os.environ.update(share(count))
     try:
         yield
     finally:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+from .config import NAME as CONFIG
 from .folders import publish
 from .leaderboard import write_leaderboard
 from .published import write_published
@@ -17,15 +18,24 @@ __all__ = ["said_of", "write_run"]
 
 
 def write_run(
-    results: Results, place: Path, *, says: str = "", published: Sequence[str] | None = None, board: Path | None = None
+    results: Results,
+    place: Path,
+    *,
+    says: str = "",
+    published: Sequence[str] | None = None,
+    board: Path | None = None,
+    config: str = "",
 ) -> Results:
     """``results`` with the new ``folder`` in ``place`` that they were written to; their leaderboard goes there, or to ``board``.
 
-    ``says`` is what the tables ask, ``published`` the methods of the paper that stand beside them (None means all).
+    ``says`` is what the tables ask, ``published`` the methods of the paper that stand beside them (None means all), ``config`` the text of
+    the file by which the run is made again, if there is one.
     """
 
     def everything(folder: Path) -> None:
         write_results(results, folder)
+        if config:
+            (folder / CONFIG).write_text(config, encoding="utf-8")
         write_published(results, folder)
         if board is None:
             write_leaderboard(results, folder, says=says, published=published)

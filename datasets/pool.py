@@ -5,14 +5,16 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from threading import Thread
 
-__all__ = ["Pool"]
+__all__ = ["Pool", "finished"]
+
+ENDED = "a worker process was ended from outside (out of memory?); the same command goes on from here, with fewer --jobs if need be"
 
 
 class Pool(ProcessPoolExecutor):
@@ -36,9 +38,24 @@ class Pool(ProcessPoolExecutor):
                 process.kill()
             self.shutdown(cancel_futures=True)
         if isinstance(error, BrokenProcessPool):
-            said = "a worker process was ended from outside (out of memory?); the same command goes on from here"
-            raise OSError(f"{said}, with fewer --jobs if need be") from error
+            raise OSError(ENDED) from error
         return super().__exit__(kind, error, trace)
+
+
+def finished(pool, work: Mapping[Hashable, Callable[[], object]]) -> Iterator[tuple[Hashable, Future]]:
+    """The names of pieces of ``work``, each with its future, as ``pool`` is done with them.
+
+    A piece whose process was ended from outside has failed with an OSError that says so.
+    """
+    running = {pool.submit(piece): name for name, piece in work.items()}
+    for future in as_completed(running):
+        yield running[future], _lost() if isinstance(future.exception(), BrokenProcessPool) else future
+
+
+def _lost() -> Future:
+    future: Future = Future()
+    future.set_exception(OSError(ENDED))
+    return future
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import stat
+import threading
 import time
 import uuid
 from collections.abc import Iterator
@@ -21,8 +22,9 @@ try:
 except ImportError:  # no such locks: left-overs are told by their age
     fcntl = None
 
-__all__ = ["locked", "remove", "replacing", "scratch", "sweep"]
+__all__ = ["idle", "lasting", "locked", "remove", "replacing", "scratch", "sweep"]
 
+HOUR = 3600.0  # s
 DAY = 86400.0  # s; longer than any write of a live process, where it cannot be asked whether it lives
 _NAME = re.compile(r"\..*\.[0-9a-f]{32}(\.part)?")  # without .part: of versions that held no lock
 
@@ -57,6 +59,27 @@ def scratch(folder: Path, path: Path) -> Iterator[Path]:
             yield temporary
 
 
+@contextmanager
+def lasting(folder: Path, path: Path) -> Iterator[Path]:
+    """As ``scratch``, for the time of a whole command: it stays for days, also where a disk has no locks and left-overs are told by their
+    age; and errors in the block are not the disk's.
+    """
+    made, done = scratch(folder, path), threading.Event()
+    temporary = made.__enter__()
+
+    def touch() -> None:
+        while not done.wait(HOUR):
+            with suppress(OSError):
+                os.utime(temporary)
+
+    threading.Thread(target=touch, daemon=True).start()
+    try:
+        yield temporary
+    finally:
+        done.set()
+        made.__exit__(None, None, None)
+
+
 def sweep(folder: Path, *, dry: bool = False) -> list[tuple[Path, int]]:
     """Remove the temporary files and folders in ``folder`` that nobody is writing, unless ``dry``; which, and the bytes in each."""
     try:
@@ -65,8 +88,8 @@ def sweep(folder: Path, *, dry: bool = False) -> list[tuple[Path, int]]:
         return []
     swept = []
     for left in found:
-        with suppress(OSError), _idle(left) as idle:
-            if idle:
+        with suppress(OSError), idle(left) as unused:
+            if unused:
                 swept.append((left, size(left)))
                 if not dry:
                     remove(left)
@@ -149,7 +172,7 @@ def _create_folder(temporary: Path) -> int | None:
 
 
 @contextmanager
-def _idle(left: Path) -> Iterator[bool]:
+def idle(left: Path) -> Iterator[bool]:
     """Whether nobody is writing ``left`` any more, and nobody can begin to as long as this lasts."""
     old = time.time() - left.lstat().st_mtime > DAY
     if not left.name.endswith(".part") or fcntl is None:
@@ -159,12 +182,12 @@ def _idle(left: Path) -> Iterator[bool]:
     try:
         try:
             fcntl.flock(found, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            idle = True
+            unused = True
         except BlockingIOError:
-            idle = False
+            unused = False
         except OSError:  # a disk without locks
-            idle = old
-        yield idle
+            unused = old
+        yield unused
     finally:
         os.close(found)
 

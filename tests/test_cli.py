@@ -42,7 +42,7 @@ def test_run_prints_and_writes_the_table(cases, capsys):
     ]
     folder = Path("results/thing/latest")
     tables = [f"{name}.{kind}" for name, kinds in {"leaderboard": ("csv", "md", "tex"), "table": ("md", "tex")}.items() for kind in kinds]
-    assert sorted(file.name for file in folder.iterdir()) == sorted(["about.json", "rows.csv", "rows.parquet", *tables])
+    assert sorted(file.name for file in folder.iterdir()) == sorted(["about.json", "config.toml", "rows.csv", "rows.parquet", *tables])
     # resimulation: frames 1..6 at 10 mm a frame along z, where the static twin's matched particles stay behind: mean 35 mm
     line = next(line for line in (folder / "table.md").read_text().splitlines() if line.startswith("| static"))
     assert "| 35.00 |" in line

@@ -6,14 +6,16 @@ import json
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
+from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from ...datasets.collection import nearest
 from ...datasets.concealed.folder import Folder
 from ...datasets.concealed.seal import parsed, read_json
-from ..processes import cards, workers
+from ..executors.base import Executor
+from ..executors.local import LocalProcesses
 from ..provenance import commit
 from .book import Answers
 from .entrants import entrants
@@ -24,19 +26,28 @@ from .schema import LARGEST, Answer
 __all__ = ["answer_case", "answer_set", "each", "read_answers", "take_answers"]
 
 
-def each(function: Callable, items: Sequence[tuple], *, jobs: int = 1, device: str = "cpu"):
+def each(
+    function: Callable,
+    items: Sequence[tuple],
+    *,
+    jobs: int = 1,
+    device: str = "cpu",
+    executor: Executor | None = None,
+    reads: Sequence[Path] = (),
+):
     """(item, what ``function(*item)`` returned) as they are done, in ``jobs`` fresh processes; in this one where that is 1.
 
-    On ``device`` "cuda" the processes share out the graphics cards.
+    On ``device`` "cuda" the processes share out the graphics cards. An ``executor`` does it instead; ``reads`` are the folders that the
+    function reads.
     """
-    if jobs == 1:
+    if jobs == 1 and executor is None:
         for item in items:
             yield item, function(*item)
         return
-    with workers(jobs, cards(device)) as pool:
-        running = {pool.submit(function, *item): item for item in items}
-        for future in as_completed(running):
-            yield running[future], future.result()
+    work = {k: partial(function, *item) for k, item in enumerate(items)}
+    with closing((executor or LocalProcesses(jobs)).each(work, device=device, reads=reads)) as finished:
+        for k, future in finished:
+            yield items[k], future.result()
 
 
 def answer_case(case: Path, names: Sequence[str], preset: str, device: str, label: dict | None = None) -> dict[str, dict]:
@@ -76,9 +87,12 @@ def answer_set(
     preset: str = "quick",
     device: str = "cpu",
     jobs: int = 1,
+    executor: Executor | None = None,
     progress: Callable[[str], None] = lambda said: None,
 ) -> dict[str, str]:
     """Answer the sealed set in ``root``; answers that are there are kept. Returns the root hash of each entrant's answers.
+
+    ``jobs`` cases are answered at the same time, by processes of this machine; or else ``executor`` says who answers.
 
     No label is read, but for entrants that are told, and for them only where the set was opened before. Raises ValueError for an unknown
     entrant, recordings that are not those that were published, or a told entrant on a set that is still sealed.
@@ -102,7 +116,8 @@ def answer_set(
     there = {name: books[name].read(cases) for name in names}
     missing = {case: tuple(n for n in direct if case not in there[n]) for case in cases}
     todo = [(folder.cases / case, wanted, preset, device, labels.get(case)) for case, wanted in missing.items() if wanted]
-    for done, (item, found) in enumerate(each(answer_case, todo, jobs=jobs, device=device), 1):
+    how = {"jobs": jobs, "device": device, "executor": executor, "reads": [folder.cases]}
+    for done, (item, found) in enumerate(each(answer_case, todo, **how), 1):
         case = item[0].name
         for name, said in found.items():
             books[name].write(case, Answer.from_dict(said), about)

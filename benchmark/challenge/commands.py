@@ -9,6 +9,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from ..cluster_options import OnCluster
+
 __all__ = ["COMMANDS"]
 
 Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
@@ -16,7 +18,7 @@ Set = Annotated[Positional[Path], arg(metavar="DIR")]
 
 
 @dataclass(frozen=True)
-class Make:
+class Make(OnCluster):
     """Write a sealed set: pairs of recordings with something concealed in them, and the hashes that are published before anybody answers.
 
     cases/ is what is handed out, manifest.json what is published, sealed/ what is kept back. What is there is kept: a killed run goes on.
@@ -33,8 +35,8 @@ class Make:
     """Instead of a seed: a public random text that became known only after the checked-out commit; the seed is the hash of both."""
     engines: Names = ()
     """Simulators to take the cases from, of each body in equal shares: mujoco, finite, cosserat (ropes), newton (others). Default: all."""
-    jobs: int = 1
-    """Cases that are made at the same time."""
+    jobs: int | None = None
+    """Cases that are made at the same time. Default: one; on a cluster, as many as it allows."""
 
     def __call__(self) -> int:
         from ...datasets.concealed.audit import audit
@@ -50,7 +52,8 @@ class Make:
         origin = {} if self.beacon is None else {"commit": commit(), "beacon": self.beacon}
         seed = self.seed if self.beacon is None else seed_of(origin["commit"], self.beacon)
         engines = self.engines or tuple(ENGINES)
-        found = make(writable(self.out), preset=self.preset, seed=seed, engines=engines, origin=origin, jobs=self.jobs, progress=_say)
+        who = {"jobs": self.jobs or 1, "executor": self.on_cluster()}
+        found = make(writable(self.out), preset=self.preset, seed=seed, engines=engines, origin=origin, **who, progress=_say)
         folder = Folder(self.out)
         sound = {name: read_json(folder.kept / f"{name}.json")["label"]["kind"] == "control" for name in found["cases"]}
         told = audit({name: folder.cases / name for name in found["cases"]}, sound)
@@ -61,7 +64,7 @@ class Make:
 
 
 @dataclass(frozen=True)
-class Answer:
+class Answer(OnCluster):
     """Answer the cases of a sealed set, and seal the answers by their hashes. Answers that are there are kept. No label is read."""
 
     folder: Set
@@ -77,8 +80,8 @@ class Answer:
     """quick or full."""
     device: str = "cpu"
     """cpu or cuda."""
-    jobs: int = 1
-    """Cases that are answered at the same time."""
+    jobs: int | None = None
+    """Cases that are answered at the same time. Default: one; on a cluster, as many as it allows."""
 
     def __call__(self) -> int:
         from ...datasets.concealed.folder import Folder
@@ -102,7 +105,8 @@ class Answer:
             raise ValueError("--check looks at --answers FOLDER, and there is none")
         untold = [name for name, entrant in entrants().items() if not entrant.told]
         names = tuple(dict.fromkeys(n for name in self.entrants for n in (untold if name == "all" else [name])))
-        roots = answer_set(self.folder, names=names, preset=self.preset, device=self.device, jobs=self.jobs, progress=_say)
+        how = {"preset": self.preset, "device": self.device, "jobs": self.jobs or 1, "executor": self.on_cluster()}
+        roots = answer_set(self.folder, names=names, **how, progress=_say)
         for name, root in roots.items():
             print(f"{name}: publish the root {root}")
         print(f"Publish the ledger's head {Folder(self.folder).ledger.head}")

@@ -9,6 +9,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from ..cluster_options import OnCluster
 from ..options import DEVICES, PRESETS, known, writable
 from ..text import shown
 
@@ -16,14 +17,19 @@ __all__ = ["Diagnose"]
 
 
 @dataclass(frozen=True)
-class Diagnose:
+class Diagnose(OnCluster):
     """Say which physics recordings show and a twin lacks: where, since when, how much it matters; or that nothing is missing.
 
     A recording is a folder in a known layout (see twinbench list), with /NAME behind it where the folder holds several.
     """
 
     cases: Annotated[Positional[tuple[str, ...]], arg(metavar="CASE [CASE ...]")]
-    """The recording, or several of one object that are fitted jointly. Their held-out frames are never fitted."""
+    """The recording, or several of one object that are fitted jointly; with --each, any recordings, or folders of several. Their held-out
+    frames are never fitted."""
+    each: bool = False
+    """Diagnose every recording by itself, into DIR/NAME of --out. Diagnoses that are there, with the same options, are kept."""
+    jobs: int | None = None
+    """With --each: recordings that are diagnosed at the same time. Default: one; on a cluster, as many as it allows."""
     transfer: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
     """Other interactions with the same object. They are never fitted."""
     fitted_on: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
@@ -50,6 +56,10 @@ class Diagnose:
         known("twin", [self.twin], TWINS)
         known("preset", [self.preset], PRESETS)
         known("device", [self.device], DEVICES)
+        if self.each:
+            return self._each()
+        if (given := self.jobs and "--jobs") or (given := self.on_cluster() and f"--executor {self.executor}"):
+            raise ValueError(f"{given} needs --each: one diagnosis is the work of one process")
         cases = [open_scenario(path) for path in self.cases]
         groups = dict(transfer=self.transfer, fitted_on=self.fitted_on, against=self.against)
         others = {name: [open_scenario(path) for path in paths] for name, paths in groups.items()}
@@ -66,3 +76,23 @@ class Diagnose:
             print(shown(line))
         print(f"Written to {shown(str(folder))}: diagnosis.json, report.html")
         return 0
+
+    def _each(self) -> int:
+        from ...diagnosis.page.words import headline
+        from ..diagnosing import diagnose_each, recordings_of
+        from ..executors import chosen_executor
+
+        for name in ("transfer", "fitted_on", "against"):
+            if getattr(self, name):
+                raise ValueError(f"--{name.replace('_', '-')} belongs to one diagnosis; --each makes one of every recording")
+        executor = self.on_cluster() or chosen_executor("local", jobs=self.jobs)
+        recordings, failed = recordings_of(self.cases), 0
+        how = {"twin": self.twin, "preset": self.preset, "device": self.device}
+        for done, (name, found) in enumerate(diagnose_each(recordings, writable(self.out), executor, **how), 1):
+            failed += isinstance(found, Exception)
+            said = f"failed ({type(found).__name__}: {found})" if isinstance(found, Exception) else headline(found)
+            print(shown(f"{name}: {said}"), flush=True)
+            if not self.quiet:
+                print(f"{done} of {len(recordings)}", file=sys.stderr, flush=True)
+        print(f"Written to {shown(str(self.out))}: {len(recordings) - failed} of {len(recordings)} diagnoses, NAME/diagnosis.json each")
+        return 1 if failed else 0

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
+from ..cluster_options import OnCluster
 from ..options import Names, writable
 from ..text import shown
 
 __all__ = ["Run"]
 
 
+ASKED = ("data", "scenarios", "methods", "ablation", "metrics", "tasks", "seeds", "preset", "device", "split", "jobs", "quiet")
+
+
 @dataclass(frozen=True)
-class Run:
+class Run(OnCluster):
     """Fit twins, roll them out, score them, and print the table.
 
     Fitted twins and scored rows are kept in .cache/twinbench (or $TWINBENCH_CACHE): a killed run goes on where it stopped and a
@@ -46,7 +50,7 @@ class Run:
     split: str = "published"
     """Which split: published, or clean (no recording session on both sides)."""
     jobs: int | None = None
-    """Processes that share the work; the results are the same. Default: one for each graphics card, or one."""
+    """Processes that share the work; the results are the same. Default: one for each graphics card, or one; on a cluster, no limit."""
     quiet: bool = False
     """Say nothing on standard error of how far it is."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
@@ -62,8 +66,8 @@ class Run:
         from ..api import studies
         from ..presets import PRESETS
 
-        asked = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in ("out", "leaderboard", "report")}
-        found = studies(**asked)
+        asked = {name: getattr(self, name) for name in ASKED}
+        found = studies(**asked, executor=self.on_cluster())
         if PRESETS[self.preset].announced and not self.quiet:
             announce(found)
         failed = [self._run(study, alone=len(found) == 1) for study in found]

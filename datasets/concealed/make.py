@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
 
 import numpy as np
 
 from ..phystwin import write_case
-from ..pool import Pool
+from ..pool import Pool, finished
 from .bodies import BODIES, meshing
 from .case import CLEAR, Case, build
 from .convergence import refinement
@@ -53,9 +54,11 @@ def make(
     engines: Sequence[str] = tuple(ENGINES),
     origin: dict | None = None,
     jobs: int = 1,
+    executor=None,
     progress: Callable[[str], None] = lambda said: None,
 ) -> dict:
-    """Write a sealed set into the folder ``out`` and return its manifest; what is there already is kept, and made on by ``jobs`` processes.
+    """Write a sealed set into the folder ``out`` and return its manifest; what is there already is kept, and made on by ``jobs`` processes,
+    or by ``executor`` (see ``benchmark.executors``).
 
     The same preset, seed and engines give the same set. ``origin`` says publicly where the seed is from (commit and beacon). The manifest
     has the hash of every case's recordings, the salted hash of every label, and ``root``, the hash of all that.
@@ -79,10 +82,10 @@ def make(
         return manifest
     write_json(file, ours)
     todo = {f"case_{k:03d}": (k, entry) for k, entry in enumerate(entries) if not _there(folder, f"case_{k:03d}")}
-    with Pool(jobs) as pool:
-        running = [pool.submit(_one, folder, name, k, entry, seed, tuple(engines), how) for name, (k, entry) in todo.items()]
-        for done, future in enumerate(as_completed(running), 1):
-            progress(f"{done} of {len(todo)}: {future.result()}")
+    work = {name: partial(_one, folder, name, k, entry, seed, tuple(engines), how) for name, (k, entry) in todo.items()}
+    with closing(executor.each(work, writes=(folder.root,)) if executor else _here(work, jobs)) as done:
+        for count, (_, future) in enumerate(done, 1):
+            progress(f"{count} of {len(todo)}: {future.result()}")
     cases = {}
     for name in (f"case_{k:03d}" for k in range(len(entries))):
         kept = read_json(folder.kept / f"{name}.json")
@@ -100,6 +103,11 @@ def make(
     write_json(folder.manifest, manifest)
     folder.ledger.append("made", root=manifest["root"], cases=len(cases))
     return manifest
+
+
+def _here(work: Mapping[str, Callable[[], str]], jobs: int) -> Iterator:
+    with Pool(jobs) as pool:
+        yield from finished(pool, work)
 
 
 def _there(folder: Folder, name: str) -> bool:
