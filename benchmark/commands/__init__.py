@@ -12,6 +12,7 @@ from .diagnose import Diagnose
 from .download import Download
 from .export import Export
 from .list import List
+from .new_case import NewCase
 from .picture import Picture
 from .plan import Plan
 from .play import Play
@@ -29,6 +30,7 @@ COMMANDS = {
     "compare": Compare,
     "picture": Picture,
     "curve": Curve,
+    "new-case": NewCase,
     "check": Check,
     "download": Download,
     "list": List,
