@@ -209,3 +209,15 @@ def test_results_hold_nothing_that_git_ignores():
     if done.returncode:
         pytest.skip("no git here")
     assert done.stdout == ""
+
+
+def test_the_citation_names_this_version():
+    import tomllib
+
+    import yaml
+
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert cited["version"] == project["version"] and cited["authors"] == [{"name": "twinbench maintainers"}]
+    assert {"cff-version", "message", "title"} <= set(cited)
+    assert project["version"] in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
