@@ -105,6 +105,7 @@ def test_links_between_files_become_links_between_pages():
         "[a](results/planning.md#speed) b [c](https://d.example) ![e](playground/film.png)\n```\n[f](g.md)\n```\n"
     )
     assert site.linked("[a](docs/quirks.md)", "CONTRIBUTING.md", "CONTRIBUTING.md") == "[a](quirks.md)"
+    assert site.linked("Of these\n- one\n- two\n", "docs/a.md", "a.md") == "Of these\n\n- one\n- two\n"
     assert site.linked("[a](../docs/tutorials/tables.md)", "examples/first_steps.ipynb", "tutorials/first_steps.md") == "[a](tables.md)"
 
 

@@ -29,6 +29,7 @@ ELSEWHERE |= {
     name: name for file in sorted(RESULTS) if file.suffix in (".md", ".png", ".csv") for name in [file.relative_to(ROOT).as_posix()]
 }
 SOMETIMES = {"submissions.md": "Submissions", "clusters.md": "Clusters"}  # pages that stand in the navigation where they are there
+LIST = re.compile(r"^((?![-|#>\s]).+)\n(?=- )", re.M)  # a list right below a paragraph, which Python's Markdown takes for a part of it
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 
 
@@ -72,7 +73,7 @@ def linked(text: str, here: str, page: str) -> str:
         return f"{image}[{label}]({to}{'#' * bool(anchor)}{anchor})"
 
     parts = re.split(r"(^```.*?^```$)", text, flags=re.M | re.S)
-    return "".join(part if part.startswith("```") else LINK.sub(replaced, part) for part in parts)
+    return "".join(part if part.startswith("```") else LIST.sub(r"\1\n\n", LINK.sub(replaced, part)) for part in parts)
 
 
 def from_notebook(file: Path) -> str:
