@@ -10,6 +10,7 @@ import numpy as np
 from ..collection import nearest
 from ..phystwin import write_case
 from ..scenario import Plane, Scenario, Split
+from . import resolved
 from .hand import Hand
 from .interactions import DRAG, LIFT, Interaction
 from .objects import Plush
@@ -18,9 +19,10 @@ from .sensor import Scene, Sensor
 from .simulate import GRAVITY, Motion, simulate, to_world
 from .tracking import Attached, Footage, annotate, film, hand_points, measure, rounded, thin
 
-__all__ = ["SCENES", "Recording", "generate", "record", "write"]
+__all__ = ["SCENES", "SOLIDS", "Recording", "generate", "record", "write"]
 
 SCENES = {"plush_lift": (Plush(), LIFT), "plush_drag": (Plush(), DRAG)}
+SOLIDS = ("tetrahedra", "hexahedra")
 FPS = 30.0
 TRAIN = 0.7  # share of the frames that may be fitted, as in published cases
 CANDIDATES = 10_000  # on the skin, and half as many inside, before they are thinned
@@ -30,7 +32,7 @@ CANDIDATES = 10_000  # on the skin, and half as many inside, before they are thi
 class Recording:
     """A scenario with the images it came from and the truth behind it.
 
-    motion  what MuJoCo computed, z up (``to_world`` turns it into the scenario's axes)
+    motion  what was simulated, z up (``to_world`` turns it into the scenario's axes)
     truth   (T, N, 3) the tracked points without noise, whether visible or not, in the scenario's axes [m]
     """
 
@@ -40,15 +42,19 @@ class Recording:
     truth: np.ndarray
 
 
-def generate(name: str, *, seed: int = 0, frames: int = 48, spacing: float = 0.007, sensor: Sensor | None = None) -> Recording:
+def generate(
+    name: str, *, seed: int = 0, frames: int = 48, spacing: float = 0.007, sensor: Sensor | None = None, solids: str = "tetrahedra"
+) -> Recording:
     """The recording ``name`` of ``SCENES``; the same arguments give the same arrays on one machine.
 
-    Elsewhere positions may differ by some 0.1 mm, to which MuJoCo's solver is exact. Raises ValueError for an unknown name.
+    ``solids`` is what the truth is made of: MuJoCo's linear tetrahedra, as in the shipped sample, which bend too stiffly, or quadratic
+    hexahedra, which converge. Elsewhere positions may differ by some 0.1 mm, to which MuJoCo's solver is exact. Raises ValueError for an
+    unknown name or kind of element.
     """
     if name not in SCENES:
         raise ValueError(f"unknown synthetic recording {name!r}; {nearest(name, SCENES)}")
     body, interaction = SCENES[name]
-    return record(name, body, interaction, seed=seed, frames=frames, spacing=spacing, sensor=sensor)
+    return record(name, body, interaction, seed=seed, frames=frames, spacing=spacing, sensor=sensor, solids=solids)
 
 
 def record(
@@ -60,15 +66,21 @@ def record(
     frames: int = 48,
     spacing: float = 0.007,
     sensor: Sensor | None = None,
+    solids: str = "tetrahedra",
 ) -> Recording:
     """Simulate, film and track ``frames`` frames; ``spacing`` is the least distance between particles in frame 0 [m]."""
+    if solids not in SOLIDS:
+        raise ValueError(f"unknown solids {solids!r}; {nearest(solids, SOLIDS)}")
     if interaction.grip is None:
         raise ValueError(f"interaction {interaction.name}: a recording needs a hand, but grip is None")
     if frames < 3 or not spacing > 0:
         raise ValueError(f"a recording needs at least 3 frames and a spacing > 0, got {frames} and {spacing}")
     sensor = sensor or Sensor()
     rng = np.random.default_rng([seed, *name.encode()])
-    motion = simulate(body, interaction, frames=frames, fps=FPS)
+    if solids == "hexahedra":
+        body, motion = resolved.resolved(body), resolved.simulate(body, interaction, frames=frames)
+    else:
+        motion = simulate(body, interaction, frames=frames, fps=FPS)
     hand = Hand(elbow=(0.1 * np.cos(interaction.arm), 0.1 * np.sin(interaction.arm), 0.16))
     footage = film(sensor, _scenes(body, motion, hand), rng)
 
