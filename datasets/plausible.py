@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from .findings import Findings, count, error, warning
+from .upright import BELOW, in_metres, upright
 
 __all__ = ["plausible"]
 
 REACH = 0.08  # m, the widest controller radius that the published search may choose: a hand farther away holds nothing
-SMALL, LARGE = 0.01, 10.0  # m: bodies that tables and cameras are made for
-BELOW = 1e-3  # m: noise of depth cameras at the table
 SEEN_SHARE = 0.5  # of the body, in a camera whose matrix is turned round, to be sure that it is that
 LOOKS = 20  # frames in which a camera is looked for the body
 
@@ -27,7 +26,9 @@ def plausible(values: Mapping[str, Any]) -> Findings:
     if points is None or visible is None:
         return
     body = np.concatenate([points[0], *(values[name] for name in ("surface", "interior") if name in values)])
-    yield from _body(body)
+    yield from in_metres(body)
+    if (twins := len(body) - len(np.unique(body, axis=0))) > 0:
+        yield warning("points", f"{twins} particle{'s' * (twins > 1)} of frame 0 lie on another one: no spring can join them")
     if not values.get("timed", True):
         yield warning("fps", "was not recorded: speeds, frequencies and damping times are as uncertain as it is")
     if not values.get("correspond", True):
@@ -38,6 +39,8 @@ def plausible(values: Mapping[str, Any]) -> Findings:
     ground = values.get("ground")
     if ground is not None and (below := ground.height(points[visible]) < -BELOW).any():
         yield warning("points", f"{count(below, 'visible row')} more than {1000 * BELOW:g} mm below the table")
+    if "gravity" in values and values.get("controllers") is not None:
+        yield from upright(values["gravity"], ground, points, visible, values["controllers"])
     if values.get("colors") is not None and not ((values["colors"][visible] >= 0) & (values["colors"][visible] <= 1)).all():
         yield warning("colors", "must lie in [0, 1] at visible points, and does not")
     if values.get("controllers") is not None:
@@ -45,14 +48,6 @@ def plausible(values: Mapping[str, Any]) -> Findings:
     if values.get("tracks") is not None:
         yield from _tracks(values["tracks"], points, visible, body)
     yield from _cameras(values.get("cameras", ()), points, visible, body)
-
-
-def _body(body):
-    extent = float(np.ptp(body, axis=0).max())
-    if not SMALL <= extent <= LARGE:
-        yield warning("points", f"the body is {extent:.3g} m long in frame 0: are the units metres?")
-    if (twins := len(body) - len(np.unique(body, axis=0))) > 0:
-        yield warning("points", f"{twins} particle{'s' * (twins > 1)} of frame 0 lie on another one: no spring can join them")
 
 
 def _hands(controllers, grips, body):

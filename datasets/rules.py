@@ -139,7 +139,8 @@ def _near(name, array, empty):
     size = float(np.abs(np.where(empty, 0.0, array)).max(initial=0.0))
     if size <= FAR:
         return False
-    yield error(name, f"must lie within {FAR:g} m of the origin, got {size:.6g} m")
+    unit = ": are these millimetres?" if size <= 1000 * FAR else ""
+    yield error(name, f"must lie within {FAR:g} m of the origin, got {size:.6g} m{unit}")
     return True
 
 

@@ -82,6 +82,18 @@ def millimetres(folder):
     (folder / "gt_track_3d.pkl").write_bytes(pickle.dumps(1000 * pickle.loads((folder / "gt_track_3d.pkl").read_bytes())))
 
 
+def kilometres(folder):
+    for key in (POINTS, HANDS, "surface_points", "interior_points"):
+        edit(key, lambda a: a / 1000)(folder)
+    (folder / "gt_track_3d.pkl").unlink()
+
+
+def upside_down(folder):
+    for key in (POINTS, HANDS):
+        edit(key, lambda a: a * [1, 1, -1])(folder)
+    (folder / "gt_track_3d.pkl").unlink()
+
+
 def extra(**content):
     return write("scenario.json", json.dumps(content).encode())
 
@@ -203,7 +215,26 @@ FAULTS = {
     "blind frame": (edit(SEEN, put(3, False)), "warning", "final_data.pkl", "False for every point in 1 frame, first in frame 3"),
     "last motion": (edit(VALID, put(LAST, True)), "warning", "final_data.pkl", "last row must be False"),
     "ghost motion": (edit(VALID, put((2, 3), True)), "warning", "final_data.pkl", "1 motion from or to an invisible point"),
-    "millimetres": (millimetres, "warning", "final_data.pkl", "are the units metres"),
+    "millimetres": (
+        millimetres,
+        "error",
+        "final_data.pkl",
+        r"in metres, got a body that is 20 m long in frame 0: are these mill.* it is 0.02",
+    ),
+    "in kilometres": (kilometres, "warning", "final_data.pkl", "are the units metres"),
+    "upside down": (
+        upside_down,
+        "error",
+        "scenario.json",
+        r"gravity points upwards for these data, got \[0.0, 0.0, 9.8\]: .* 0.12 m below",
+    ),
+    "gravity upwards": (extra(gravity=[0, 0, -9.8]), "error", "scenario.json", "gravity must point to the table"),
+    "no table, gravity upwards": (
+        extra(gravity=[0, 0, -9.8], ground=None),
+        "warning",
+        "scenario.json",
+        "gravity may point upwards for these data",
+    ),
     "twins": (edit(POINTS, lambda a: put(np.s_[:, 0], a[:, 1])(a)), "warning", "final_data.pkl", "1 particle of frame 0 lie"),
     "under the table": (edit(POINTS, put((1, 0, 2), 0.01)), "warning", "final_data.pkl", "1 mm below the table"),
     "far hands": (

@@ -1,4 +1,4 @@
-"""The house: which packages there are, which room may import which, and what `import twinbench` costs."""
+"""Rooms and packages: which packages there are, which room may import which, and what `import twinbench` costs."""
 
 import ast
 import subprocess

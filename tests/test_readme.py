@@ -1,4 +1,4 @@
-"""README.md keeps its word: its commands exist, its example runs, its table is what the program prints, and .ci/run does what it says."""
+"""README.md and docs/ keep their word: commands exist, examples run, tables are what the program prints, .ci/run does what README says."""
 
 import csv
 import os
@@ -21,41 +21,59 @@ from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
 
 ROOT = Path(__file__).resolve().parents[1]
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [file.read_text(encoding="utf-8") for file in sorted((ROOT / "docs").glob("*.md"))]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+WRITTEN = {
+    file.relative_to(ROOT).as_posix(): file.read_text(encoding="utf-8")
+    for file in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+}
+APART = [f"docs/{name}.md" for name in ("capture", "clusters", "diary", "planning", "playground", "quirks", "submissions")]
+OTHERS = {page: text for page, text in WRITTEN.items() if page in APART}  # which have commands with placeholders, and options of modules
+PAGES = {page: text for page, text in WRITTEN.items() if page not in APART}
+TEXT = "\n".join(PAGES.values())
+
+
+def block(page, language, number=0):
+    return re.findall(rf"^```{language}\n(.*?)^```$", PAGES[page], re.M | re.S)[number]
 
 
 def commands_in(text):
-    """What blocks of commands and quoted commands say."""
-    blocks = re.findall(r"^```bash\n(.*?)^```$", text, re.M | re.S)
-    found = [line.split("  #")[0].strip() for block in blocks for line in block.splitlines()]
-    return found + re.findall(r"`((?:pip|twinbench|python3?) [^`]*)`", text)
+    lines = [
+        line.split("  #")[0].strip() for found in re.findall(r"^```bash\n(.*?)^```$", text, re.M | re.S) for line in found.splitlines()
+    ]
+    return lines + re.findall(r"`((?:pip|twinbench|python3?) [^`]*)`", text)
 
 
-COMMANDS = commands_in(TEXT)
-EXAMPLE = re.search(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)[1]
-TABLE = re.search(r"^```text\n(.*?)^```$", TEXT, re.M | re.S)[1]
-INSTALL_AND_RUN, INSTALL_AND_TEST = COMMANDS[:2]
+COMMANDS = list(dict.fromkeys(commands_in(TEXT)))
+EXAMPLE = block("docs/howto/python.md", "python")
+TABLE = block("docs/tutorials/tables.md", "text")
+CLONE, _, INSTALL_AND_RUN, INSTALL_AND_TEST = commands_in(README)[:4]
 
 SUBCOMMANDS = commands.COMMANDS | GROUPS
 NESTED = {name: import_module(group.commands, "twinbench.benchmark").COMMANDS for name, group in GROUPS.items()}
 
 
 def parts(command):
-    return [shlex.split(part) for part in re.split(r" && ", command)]
+    return [shlex.split(part) for part in re.split(r" && ", " ".join(command.split()))]
 
 
-def calls(program, commands=COMMANDS):
-    return [words for command in commands for words in parts(command) if words[: len(program)] == program]
+def calls(program, listed=COMMANDS):
+    return [words for command in listed for words in parts(command) if words[: len(program)] == program]
 
 
-def test_the_first_screen_has_a_picture_two_commands_and_the_table():
-    first = TEXT.split("## ")[0]
-    assert "results/sample.png" in first and first.count("```bash") == first.count("```text") == 1
+def test_the_first_screen_has_a_picture_two_commands_and_a_table():
+    first = README.split("## Documentation")[0]
+    assert first.index("results/sample.png") < first.index("```bash") and first.count("```bash") == 1
+    assert CLONE == "git clone URL twinbench && cd twinbench"
     assert INSTALL_AND_RUN == "pip install -e . && twinbench run"
     assert INSTALL_AND_TEST == 'pip install -e ".[test]" && python -m pytest --numprocesses=2 --dist=loadfile'
     assert (ROOT / "results" / "sample.png").stat().st_size < 150_000
     assert (ROOT / "results" / "sample.png").read_bytes().startswith(b"\x89PNG")
+    assert len(README.splitlines()) <= 120
+
+
+def test_readmes_table_is_a_part_of_the_tutorials():
+    shown = block("README.md", "text").strip()
+    assert shown.startswith("sample, prediction: ") and shown in TABLE
 
 
 def test_ci_run_installs_and_tests_as_the_readme_says():
@@ -70,23 +88,28 @@ def test_ci_run_installs_and_tests_as_the_readme_says():
 def test_extras_are_there():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = set(re.findall(r"\.\[(\w+)\]", TEXT))
-    assert {"test", "plots", "synthetic"} <= named <= set(extras)
+    assert {"test", "plots", "synthetic", "docs", "capture"} <= named <= set(extras)
     # the default tests skip nothing for want of a package
     assert {one for name in named for one in extras[name]} <= set(extras["test"])
 
 
-@pytest.mark.parametrize("command", [shlex.join(words) for words in calls(["twinbench"])])
+EVERYWHERE = [command for text in (TEXT, *OTHERS.values()) for command in commands_in(text)]
+
+
+@pytest.mark.parametrize("command", dict.fromkeys(shlex.join(words) for words in calls(["twinbench"], EVERYWHERE)))
 def test_twinbench_commands_exist(command):
     name, *arguments = shlex.split(command)[1:]
+    if name == "COMMAND":  # of any
+        return
     options = {field.name.replace("_", "-") for field in fields(NESTED[name][arguments[0]] if name in NESTED else SUBCOMMANDS[name])}
     assert {word[2:] for word in arguments if word.startswith("--")} <= options | {"help"}
 
 
-def test_every_subcommand_is_mentioned_here_or_on_a_page_of_its_own():
-    everywhere = [command for text in (TEXT, *PAGES) for command in commands_in(text)]
-    assert {words[1] for words in calls(["twinbench"], everywhere)} == set(SUBCOMMANDS)
+def test_every_subcommand_is_mentioned():
+    said = [words for words in calls(["twinbench"], EVERYWHERE) if words[1] != "COMMAND"]
+    assert {words[1] for words in said} == set(SUBCOMMANDS)
     for name, nested in NESTED.items():
-        assert {words[2] for words in calls(["twinbench", name], everywhere) if words[2:]} == set(nested)
+        assert {words[2] for words in said if words[1] == name and words[2:]} == set(nested)
 
 
 def test_options_in_the_prose_exist():
@@ -95,9 +118,13 @@ def test_options_in_the_prose_exist():
     assert set(re.findall(r"`--([\w-]+)", TEXT)) - {"cuda", "small"} <= options  # those are of modules that are run with python -m
 
 
-@pytest.mark.parametrize("command", [shlex.join(words) for words in calls(["python"]) + calls(["python3"])])
+@pytest.mark.parametrize("command", dict.fromkeys(shlex.join(words) for words in calls(["python"]) + calls(["python3"])))
 def test_python_commands_exist(command):
-    module, *arguments = shlex.split(command)[2:]
+    words = shlex.split(command)[1:]
+    if words[0] != "-m":  # a file that the page shows
+        assert f"`{words[0]}`" in TEXT
+        return
+    module, *arguments = words[1:]
     for word in arguments:
         assert word.startswith((".", "--")) or (ROOT / word).exists()
     if module.startswith("twinbench."):
@@ -107,12 +134,18 @@ def test_python_commands_exist(command):
         assert module in ("pytest", "venv")
 
 
-def test_links_lead_somewhere():
-    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", TEXT):
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    prose = re.sub(r"^```.*?^```$", "", PAGES[page], flags=re.M | re.S)
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", prose):
         file, _, anchor = target.partition("#")
-        assert (ROOT / file).exists(), target
+        to = (ROOT / page).parent / file if file else ROOT / page
+        if to.resolve().relative_to(ROOT).as_posix().startswith("docs/reference/") and not to.exists():
+            assert to.name in ("python.md", "commands.md", "found.md")  # made with the site, which checks its links
+            continue
+        assert to.exists(), target
         if anchor:
-            headings = re.findall(r"^#+ (.*)$", (ROOT / (file or "README.md")).read_text(encoding="utf-8"), re.M)
+            headings = re.findall(r"^#+ (.*)$", to.read_text(encoding="utf-8"), re.M)
             assert anchor in {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}, target
 
 
@@ -135,7 +168,7 @@ def printed_again(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     environment = os.environ | {"TWINBENCH_CACHE": str(folder / "cache")}
     script = "import sys; from twinbench.benchmark.cli import main; sys.exit(main())"
-    scored = [name for name in metrics() if not name.startswith("lpips")]  # which need a download, and are not in the README's table
+    scored = [name for name in metrics() if not name.startswith("lpips")]  # which need a download, and are not in the table that is shown
     options = ["run", "--methods", "static", "rigid", "--metrics", *scored]
     done = subprocess.run([sys.executable, "-c", script, *options], capture_output=True, text=True, cwd=folder, env=environment, check=True)
     return done.stdout, folder
@@ -163,7 +196,7 @@ def test_the_table_is_what_the_command_prints(printed_again):
     assert there
 
     def spaced(line):
-        named = line.replace(" config.toml,", "")  # docs/clusters.md tells of it
+        named = line.replace(" config.toml,", "")  # docs/clusters.md has it
         return re.sub(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d", "WHEN", " ".join(named.split()))
 
     words = {spaced(line) for line in printed_again[0].splitlines()}
@@ -183,18 +216,27 @@ def test_the_leaderboard_that_is_shown_is_what_the_command_gives(printed_again):
     # the baselines hardly depend on the machine; the others took minutes, and stand beside them in the same file
     shown = board(".")
     results = read_results(printed_again[1] / "results" / "sample" / "latest")
-    for block in blocks(results):
-        for line in block.lines:
-            for metric in (name for name in block.metrics if results.units[name] == "m"):
-                assert shown[block.task, line.method, metric][0] == f"{1e3 * line.means[metric]:.2f}"
+    for found in blocks(results):
+        for line in found.lines:
+            for metric in (name for name in found.metrics if results.units[name] == "m"):
+                assert shown[found.task, line.method, metric][0] == f"{1e3 * line.means[metric]:.2f}"
     assert {method for _, method, _ in shown} == {name for name, found in methods().items() if found.room == "methods"}
     for kind in ("md", "tex"):
         text = (ROOT / "results" / f"leaderboard.{kind}").read_text(encoding="utf-8")
         assert all(value[0] in text for value in shown.values())
 
 
+def test_the_methods_that_are_shown_beside_the_paper_are_the_leaderboards():
+    shown, page = board("."), PAGES["docs/howto/paper.md"]
+    columns = (("resimulation", "chamfer"), ("prediction", "chamfer"), ("prediction", "track_error"), ("transfer", "chamfer"))
+    for method in {method for _, method, _ in shown}:
+        line = next(line for line in page.splitlines() if line.startswith(f"| `{method}` |"))
+        for task, metric in columns:
+            assert (task, method, metric) not in shown or shown[task, method, metric][0] in line, (method, task, metric)
+
+
 def test_the_ablation_that_is_shown_is_the_leaderboards():
-    shown, lines = board("stages"), [line for line in TEXT.splitlines() if line.startswith("| `phystwin")]
+    shown, lines = board("stages"), [line for line in PAGES["docs/howto/ablations.md"].splitlines() if line.startswith("| `phystwin")]
     for task in ("resimulation", "prediction"):
         for method in ("phystwin", "phystwin-zero", "phystwin-first"):
             mean, half, over = shown[task, method, "chamfer"]
@@ -210,18 +252,18 @@ def test_the_table_shows_a_twin_that_predicts():
 
 def test_what_gets_written_is_named(printed_again):
     folder = printed_again[1] / "results" / "sample" / "latest"
-    told = TEXT + (ROOT / "docs" / "clusters.md").read_text(encoding="utf-8")
+    named = PAGES["docs/howto/runs.md"] + OTHERS.get("docs/clusters.md", "")
     for file in folder.iterdir():
-        assert f"`{file.name}`" in told
+        assert f"`{file.name}`" in named
     assert len(read_results(folder).rows) == 12
 
 
 def test_columns_tasks_and_methods_are_explained():
     for name in [*metrics(), *TASKS, *methods()]:
-        assert f"`{name}`" in TEXT, name
+        assert f"`{name}`" in PAGES["docs/concepts/tasks.md"], name
 
 
 def test_quirks_are_where_it_says():
     from twinbench.methods.phystwin.config import Quirks
 
-    assert "`Quirks`" in TEXT and Quirks.__module__ == "twinbench.methods.phystwin.config"
+    assert "`Quirks`" in PAGES["docs/concepts/published.md"] and Quirks.__module__ == "twinbench.methods.phystwin.config"

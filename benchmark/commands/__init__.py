@@ -13,6 +13,7 @@ from .download import Download
 from .export import Export
 from .leaderboard import Leaderboard
 from .list import List
+from .new_case import NewCase
 from .picture import Picture
 from .plan import Plan
 from .play import Play
@@ -42,6 +43,7 @@ COMMANDS = {
     "capture": Capture,
     "build": Build,
     "calibrate": Calibrate,
+    "new-case": NewCase,
     "diagnose": Diagnose,
     "plan": Plan,
     "concealed": Concealed,
