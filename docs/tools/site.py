@@ -28,16 +28,8 @@ RESULTS = [
 ELSEWHERE |= {
     name: name for file in sorted(RESULTS) if file.suffix in (".md", ".png", ".csv") for name in [file.relative_to(ROOT).as_posix()]
 }
-SOMETIMES = {"submissions.md": "Submissions", "clusters.md": "Clusters"}  # pages that stand in the navigation where they are there
 LIST = re.compile(r"^((?![-|#>\s]).+)\n(?=- )", re.M)  # a list right below a paragraph, which Python's Markdown takes for a part of it
 LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
-
-
-def on_config(config):
-    for entry in config["nav"]:
-        if "How to" in entry:
-            entry["How to"] += [{title: page} for page, title in SOMETIMES.items() if (Path(config["docs_dir"]) / page).exists()]
-    return config
 
 
 def on_files(files, config):
