@@ -16,6 +16,7 @@ from twinbench.benchmark.planning.config import PlanConfig
 from twinbench.benchmark.planning.controls import Controls, axes_of
 from twinbench.benchmark.planning.cost import Judge
 from twinbench.benchmark.planning.goal import Goal
+from twinbench.benchmark.planning.guesses import guesses, wanted_shifts
 from twinbench.benchmark.planning.mppi import coloured, mppi, shooting, softmax
 from twinbench.benchmark.planning.planner import held, plan
 from twinbench.benchmark.planning.summary import difference, summary
@@ -83,7 +84,7 @@ def test_noise_is_coloured():
 def test_mppi_finds_the_optimum_of_a_quadratic(seed):
     # sum_k |P_k - g_k|^2 has its minimum, 0, at g, which is feasible. The last noise is 0.5 * 0.2 * 0.8^24 m = 0.5 mm a step, summed over
     # two steps; the mean of 200 samples is nearer than one sample is
-    config = PlanConfig(samples=200, updates=25, segments=2)
+    config = PlanConfig(samples=200, updates=25, segments=2, noise=0.5)
     goal = np.array([[[0.1, -0.05, 0.08]], [[0.2, 0.02, 0.0]]])
     count = []
 
@@ -97,6 +98,41 @@ def test_mppi_finds_the_optimum_of_a_quadratic(seed):
     assert sum(count) == config.rollouts and list(found.best) == sorted(found.best, reverse=True)
     shot = shooting(cost, controls.feasible, (2, 1, 3), 0.2, config, seed=seed)
     assert sum(count) == 2 * config.rollouts and found.cost < shot.cost  # as many roll-outs find less without a mean
+
+
+def test_searches_begin_at_the_best_guess_and_simulate_no_more_for_it():
+    # cost |P - goal|: a guess that is the goal is never left, whatever is drawn; all in all samples x updates paths are simulated
+    goal, seen = np.full((1, 2, 1, 3), 0.05), []
+
+    def cost(ways):
+        seen.append(len(ways))
+        return np.abs(ways - goal).sum((1, 2, 3))
+
+    config = replace(SMALL, samples=6, updates=3)
+    for search in (mppi, shooting):
+        seen.clear()
+        found = search(cost, lambda ways: ways, (2, 1, 3), 0.1, config, guesses=np.concatenate([0 * goal, goal, 3 * goal]))
+        assert found.cost == 0 and found.best == (0.0,) * 3 and sum(seen) == config.rollouts
+        np.testing.assert_array_equal(found.ways, goal[0])
+    with pytest.raises(ValueError, match="samples must be at least 7, as many as a search begins with, got 6"):
+        mppi(cost, lambda ways: ways, (2, 1, 3), 0.1, config, guesses=np.zeros((7, 2, 1, 3)))
+
+
+@pytest.mark.parametrize("gravity", [(0, 0, -9.8), (0, 9.8, 0)])
+def test_hands_first_go_to_where_what_they_hold_is_wanted(gravity):
+    start, shift = lying(gravity), np.array([0.1, 0.02, -0.03])
+    controls, goal = Controls.of(start, PlanConfig()), moved_goal(start, shift)
+    np.testing.assert_allclose(wanted_shifts(controls, goal)[0] @ controls.axes, shift, atol=1e-12)
+    still, straight, arc = guesses(controls, goal)
+    assert not still.any()
+    np.testing.assert_allclose(straight[-2:, 0] @ controls.axes, [shift, shift], atol=1e-12)
+    np.testing.assert_allclose(arc[-1], straight[-1], atol=1e-12)
+    # half a circle of the diameter d over a level way: d / 2 above it in its middle
+    level = np.linalg.norm(controls.axes[:2] @ shift)
+    np.testing.assert_allclose((arc - straight).max((0, 1)), [0, 0, level / 2], atol=1e-12)
+    cloud = Goal("cloud", goal.points, None, goal.points[:30] + shift)
+    expected = goal.points[:30].mean(0) + shift - goal.points.mean(0)
+    np.testing.assert_allclose(wanted_shifts(controls, cloud)[0] @ controls.axes, expected, atol=1e-12)
 
 
 def test_nothing_that_does_not_diverge_is_said():

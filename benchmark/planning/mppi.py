@@ -42,18 +42,24 @@ def coloured(random: np.random.Generator, count: int, shape: tuple[int, int, int
     return steps.cumsum(1)
 
 
-def mppi(cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0) -> Found:
+def mppi(
+    cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0, guesses=None
+) -> Found:
     """The best of ``config.rollouts`` paths: each update draws about a mean, which then moves to their softmax mean.
 
-    The first sample of an update is its mean; the first mean is to hold still. ``step`` [m] is how far a hand gets in a segment.
-    Raises ValueError where every roll-out diverged.
+    The first mean is the best of ``guesses`` (G, K, H, 3), or to hold still; the first sample of a later update is its mean. ``step`` [m] is
+    how far a hand gets in a segment. Raises ValueError where every roll-out diverged, or there are more guesses than samples.
     """
-    random, mean, best, history = np.random.default_rng(seed), np.zeros((1, *shape)), (np.inf, None), []
+    random, guesses = np.random.default_rng(seed), _guessed(guesses, shape, config)
+    best, mean = _begun(cost, guesses)
+    history = []
     for update in range(config.updates):
         spread = config.noise * step * config.decay**update
-        noise = spread * coloured(random, config.samples - 1, shape, config.colour)
-        ways = np.concatenate([mean, project(mean + noise)])
-        costs = cost(ways)
+        drawn = config.samples - (1 if update else len(guesses))
+        noise = spread * coloured(random, drawn, shape, config.colour)
+        ways = project(mean + noise)
+        ways = np.concatenate([mean, ways]) if update else ways
+        costs = cost(ways) if len(ways) else np.zeros(0)
         best = _better(best, costs, ways)
         history.append(float(best[0]))
         if np.isfinite(costs).any():
@@ -62,20 +68,36 @@ def mppi(cost: Cost, project: Project, shape: tuple[int, int, int], step: float,
     return _found(best, history)
 
 
-def shooting(cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0) -> Found:
-    """The best of as many paths, all drawn as the first update of ``mppi`` draws them."""
-    random, best, history = np.random.default_rng(seed), (np.inf, None), []
+def shooting(
+    cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0, guesses=None
+) -> Found:
+    """The best of as many paths, all drawn as the first update of ``mppi`` draws them: about the best of the same ``guesses``."""
+    random, guesses, history = np.random.default_rng(seed), _guessed(guesses, shape, config), []
+    best, mean = _begun(cost, guesses)
     for update in range(config.updates):
-        noise = config.noise * step * coloured(random, config.samples, shape, config.colour)
-        if not update:
-            noise[0] = 0  # to hold still
-        ways = project(noise)
-        best = _better(best, cost(ways), ways)
+        drawn = config.samples - (0 if update else len(guesses))
+        ways = project(mean + config.noise * step * coloured(random, drawn, shape, config.colour))
+        best = _better(best, cost(ways) if drawn else np.zeros(0), ways)
         history.append(float(best[0]))
     return _found(best, history)
 
 
+def _guessed(guesses, shape, config):
+    guesses = np.zeros((1, *shape)) if guesses is None else guesses
+    if len(guesses) > config.samples:
+        raise ValueError(f"samples must be at least {len(guesses)}, as many as a search begins with, got {config.samples}")
+    return guesses
+
+
+def _begun(cost, guesses):
+    """(cost and path of the best guess, that path (1, K, H, 3) or the first where all diverged)."""
+    best = _better((np.inf, None), cost(guesses), guesses)
+    return best, guesses[:1] if best[1] is None else best[1][None]
+
+
 def _better(best, costs, ways):
+    if not len(costs):
+        return best
     k = int(np.argmin(costs))
     return (costs[k], ways[k]) if costs[k] < best[0] else best
 
