@@ -25,7 +25,7 @@ from .stage import Stage
 
 __all__ = ["bar", "main", "played", "twins"]
 
-SHAPES = {500: (20, 5, 5), 2000: (32, 8, 8)}  # particles along, across and up
+SHAPES = {500: (20, 5, 5), 2000: (32, 8, 8), 5000: (50, 10, 10)}  # particles along, across and up
 LENGTH, FPS, FRAMES = 0.3, 30, 120
 SWING, RATE = 0.05, 0.7  # m and 1/s of the hand
 MODULUS, STIFFNESS = 3e4, 1e4  # Pa, and N of a spring: a plush toy's
@@ -91,7 +91,7 @@ def swinging(stage: Stage):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a line for each body and twin."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--particles", type=int, nargs="+", default=list(SHAPES))
+    parser.add_argument("--particles", type=int, nargs="+", default=[500, 2000])
     parser.add_argument("--methods", nargs="+", default=["phystwin", "continuum"])
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--viewer", action="store_true")
