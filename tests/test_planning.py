@@ -17,6 +17,7 @@ from twinbench.benchmark.planning.controls import Controls, axes_of
 from twinbench.benchmark.planning.cost import Judge
 from twinbench.benchmark.planning.goal import Goal
 from twinbench.benchmark.planning.guesses import guesses, wanted_shifts
+from twinbench.benchmark.planning.keeping import KnownTwins
 from twinbench.benchmark.planning.mppi import coloured, mppi, shooting, softmax
 from twinbench.benchmark.planning.planner import held, plan
 from twinbench.benchmark.planning.summary import difference, summary
@@ -114,8 +115,9 @@ def test_searches_begin_at_the_best_guess_and_simulate_no_more_for_it():
         found = search(cost, lambda ways: ways, (2, 1, 3), 0.1, config, guesses=np.concatenate([0 * goal, goal, 3 * goal]))
         assert found.cost == 0 and found.best == (0.0,) * 3 and sum(seen) == config.rollouts
         np.testing.assert_array_equal(found.ways, goal[0])
-    with pytest.raises(ValueError, match="samples must be at least 7, as many as a search begins with, got 6"):
-        mppi(cost, lambda ways: ways, (2, 1, 3), 0.1, config, guesses=np.zeros((7, 2, 1, 3)))
+    seen.clear()
+    few = replace(config, samples=2)
+    assert mppi(cost, lambda ways: ways, (2, 1, 3), 0.1, few, guesses=np.zeros((7, 2, 1, 3))).cost > 0 and sum(seen) == few.rollouts
 
 
 @pytest.mark.parametrize("gravity", [(0, 0, -9.8), (0, 9.8, 0)])
@@ -467,6 +469,29 @@ def test_an_experiment_is_resumed(tmp_path, capfd):
     assert "1 to run" in capfd.readouterr().out and experiment.main(asked) == 0
     assert "0 to run" in capfd.readouterr().out
     assert (tmp_path / "cases" / "rope-line_none_0.json").stat().st_mtime_ns == written
+    more = list(asked)
+    more[more.index("--arms") + 1 : more.index("--samples")] = ["static", "rigid@1", "rigid"]
+    assert experiment.main(more) == 0  # an arm that is added is run alone, with the twin that is there
+    again = json.loads((tmp_path / "cases" / "rope-line_none_0.json").read_text())
+    assert [row["arm"] for row in again] == ["static", "rigid@1", "rigid"] and again[0] == rows[0] and again[2] == rows[1]
+    assert {p.name for p in (tmp_path / "twins" / "rope_drag_none_0_quick").iterdir()} == {"static", "rigid"}
+    capfd.readouterr()
+    with pytest.raises(ValueError, match="has plans of 2 roll-outs, got 4"):
+        experiment.main([*more, "--updates", "2"])
+
+
+def test_twins_of_an_experiment_come_back_from_the_disk_and_half_of_one_does_not(tmp_path):
+    start = lying()
+    twins = KnownTwins(tmp_path)
+    assert "rigid" not in twins
+    twins["rigid"] = RigidTwin.of(start)
+    again = KnownTwins(tmp_path)
+    path = start.controllers + np.linspace(0, 0.1, 4)[:, None, None]
+    np.testing.assert_array_equal(again["rigid"].rollout(path).positions, twins["rigid"].rollout(path).positions)
+    (tmp_path / "rigid" / "fitted").unlink()
+    assert "rigid" not in KnownTwins(tmp_path)
+    with pytest.raises(KeyError):
+        KnownTwins(tmp_path)["rigid"]
 
 
 def test_intervals_are_students():
