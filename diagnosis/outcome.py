@@ -80,6 +80,8 @@ class Outcome:
         with replacing(out / "diagnosis.json") as temporary:
             temporary.write_text(json.dumps(plain(self.result), indent=1, allow_nan=False), encoding="utf-8")
         write_report(self.result, self.arrays, out / "report.html")
+        write_tracks(self.arrays, out)
+        write_twins(self.twins, out)
 
 
 def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str, ...]]:

@@ -1,6 +1,7 @@
 """Planning: the search against problems of known solution, what hands may do, goals, batches, nulls, the command and its files."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -546,3 +547,27 @@ def test_bad_input_is_one_line(arguments, said, capsys, tmp_path):
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and said in lines[0]
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
+
+
+@pytest.mark.slow
+def test_the_page_of_plans_fits_a_screen_and_a_phone_and_needs_no_network(tmp_path, capsys):
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    asked = ["plan", "sample/plush_lift", "--task", "pose", "--methods", "rigid", "static", "--samples", "4", "--updates", "1"]
+    assert main([*asked, "--out", str(tmp_path)]) == 0
+    capsys.readouterr()
+    with playwright.sync_playwright() as one:
+        browser = one.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        context, wrong = browser.new_context(offline=True), []
+        for width, height in ((1000, 700), (390, 780)):
+            view = context.new_page()
+            view.set_viewport_size(dict(width=width, height=height))
+            view.on("pageerror", lambda error: wrong.append(str(error)))
+            view.on("request", lambda request: wrong.append(request.url) if not request.url.startswith("file:") else None)
+            view.goto((tmp_path / "plan.html").as_uri())
+            assert view.evaluate("document.documentElement.scrollWidth") <= width
+            assert view.locator("svg[role=img]").count() == 4  # two twins, each from above and from the side
+        assert not wrong
+        browser.close()

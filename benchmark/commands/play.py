@@ -23,8 +23,8 @@ class Play:
     """
 
     what: Annotated[Positional[str], arg(metavar="CASE|TWIN|DIAGNOSIS")]
-    """A recording, as for twinbench diagnose; the folder of one saved twin, with its method in --methods; or the folder of a diagnosis, whose
-    twin stands without and with what was named."""
+    """A recording, as for twinbench diagnose; the folder of one saved twin, with its method in --methods; or the folder of a diagnosis:
+    its twin without and with what was named."""
     methods: Names = ()
     """Methods whose twins stand side by side under the same hands. Default: phystwin; a diagnosis has its own."""
     case: Annotated[str, arg(metavar="CASE")] = ""

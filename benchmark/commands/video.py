@@ -18,12 +18,12 @@ __all__ = ["Video"]
 class Video:
     """Film roll-outs beside their recording, with lines to where points were seen: .mp4, .gif, or .html, a page that needs no network.
 
-    Of a CASE twins are taken from the cache or fitted; of a RUN its rows are shown as they were scored, from the cache alone; of a DIAGNOSIS
-    the twin without and with what was named.
+    Of a CASE twins are taken from the cache or fitted; of a RUN its rows are shown as they were scored, from the cache alone; of a
+    DIAGNOSIS the twin without and with what was named.
     """
 
     what: Annotated[Positional[str], arg(metavar="CASE|RUN|DIAGNOSIS")]
-    """A recording, as for twinbench diagnose; the folder of a run, or the one above it for the latest there; or the folder of a diagnosis."""
+    """A recording, as for twinbench diagnose; the folder of a run, or the one above it for the latest there; or that of a diagnosis."""
     out: Annotated[tuple[Path, ...], arg(metavar="FILE ...")]
     """What to write: files that end in .mp4, .gif or .html."""
     methods: Names = ()

@@ -92,7 +92,7 @@ def _same_search(folder, cases, config: PlanConfig) -> None:
     for case in cases:
         for row in _rows(folder, case):
             if row.get("rollouts", config.rollouts) != config.rollouts:
-                said = f"has plans of {row['rollouts']} roll-outs, got {config.rollouts}: name another --out, or the same --samples and --updates"
+                said = f"has plans of {row['rollouts']} roll-outs, got {config.rollouts}: name another --out, or as many --samples"
                 raise ValueError(f"{folder / 'cases' / case.name}.json {said}")
 
 

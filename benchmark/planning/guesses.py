@@ -29,7 +29,7 @@ def wanted_shifts(controls: Controls, goal: Goal) -> np.ndarray:
 
 
 def guesses(controls: Controls, goal: Goal) -> np.ndarray:
-    """(3, K, H, 3) m, feasible way points: hands stay; go straight to ``wanted_shifts``; go there in half a circle over the straight way."""
+    """(3, K, H, 3) m, feasible way points: hands stay; go straight by ``wanted_shifts``; go there in half a circle over that way."""
     segments, hands, _ = controls.shape
     shifts, share = wanted_shifts(controls, goal), np.minimum(1, np.arange(1, segments + 1) / max(segments - 1, 1))
     straight = share[:, None, None] * shifts

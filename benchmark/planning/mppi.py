@@ -47,8 +47,8 @@ def mppi(
 ) -> Found:
     """The best of ``config.rollouts`` paths: each update draws about a mean, which then moves to their softmax mean.
 
-    The first mean is the best of ``guesses`` (G, K, H, 3), as many as an update has samples, or to hold still; the first sample of a later update is its mean. ``step`` [m] is
-    how far a hand gets in a segment. Raises ValueError where every roll-out diverged.
+    The first mean is the best of ``guesses`` (G, K, H, 3), as many as an update has samples, or to hold still; the first sample of a later
+    update is its mean. ``step`` [m] is how far a hand gets in a segment. Raises ValueError where every roll-out diverged.
     """
     random, guesses = np.random.default_rng(seed), _guessed(guesses, shape, config)
     best, mean = _begun(cost, guesses)

@@ -87,7 +87,8 @@ def plan(
             progress(f"{done} of {config.rollouts} roll-outs", done / config.rollouts)
         return np.array([np.inf if path is None else judge.cost(judge.outcome(_some(path))) for path in paths])
 
-    found = OPTIMISERS[optimiser](cost, controls.feasible, controls.shape, controls.step, config, seed=seed, guesses=guesses(controls, goal))
+    begin = guesses(controls, goal)
+    found = OPTIMISERS[optimiser](cost, controls.feasible, controls.shape, controls.step, config, seed=seed, guesses=begin)
     rolled, ways = spent, found.ways[None]
     path = positions(ways)[0]
     known = controls.paths(ways)[0], controls.hand, controls.moved(ways)[0], path, judge.outcome(path)

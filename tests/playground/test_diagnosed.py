@@ -1,6 +1,5 @@
 """Films and stages of a diagnosis: what it wrote is what is shown, and what cannot be read is said in one line."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ from twinbench.benchmark.cli import main
 from twinbench.benchmark.playground.casting import stage_of
 from twinbench.benchmark.playground.diagnosed import is_diagnosis, of_diagnosis, recorded_for, twins_of
 from twinbench.diagnosis.keeping import write_tracks, write_twins
+from twinbench.diagnosis.outcome import Outcome
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.solids import Solid
@@ -30,25 +30,22 @@ def made():
 
 @pytest.fixture
 def folder(made, tmp_path):
-    """What a diagnosis of that recording writes: the fields that films read, tracks and twins."""
+    """What a diagnosis of that recording writes."""
     told, sound, windy = made
     seen, blown = (np.asarray(t.rollout(told.controllers).tracked, float) for t in (sound, windy))
     count = len(told.controllers)
     records = [dict(name=told.name, role="case", frames=count, points=seen.shape[1], fps=told.fps, train_end=count // 2)]
-    said = dict(effect="wind", evidence=dict(recordings=records))
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "diagnosis.json").write_text(json.dumps(said))
+    said = dict(verdict="missing", effect="wind", evidence=dict(recordings=records))
     up = -told.gravity / np.linalg.norm(told.gravity)
     arrays = dict(observed_0=blown, baseline_0=seen, extended_0=blown, controllers_0=told.controllers, up=up)
     hidden = arrays["observed_0"].copy()
     hidden[3, 0] = np.nan
-    write_tracks(arrays | dict(observed_0=hidden), tmp_path / "out")
-    write_twins({"sound": sound, "told": windy}, tmp_path / "out")
+    Outcome(said, arrays | dict(observed_0=hidden), {"sound": sound, "told": windy}).write(tmp_path / "out")
     return tmp_path / "out"
 
 
 def test_tracks_come_back_as_they_were_written(made, folder):
-    told, sound, windy = made
+    told, _, windy = made
     assert is_diagnosis(str(folder)) and not is_diagnosis(str(folder.parent))
     scenario, rollouts = of_diagnosis(str(folder))
     assert list(rollouts) == ["without", "with wind"] and not scenario.visible[3, 0] and scenario.visible.sum() == scenario.visible.size - 1
