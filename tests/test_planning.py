@@ -121,6 +121,17 @@ def test_searches_begin_at_the_best_guess_and_simulate_no_more_for_it():
     assert mppi(cost, lambda ways: ways, (2, 1, 3), 0.1, few, guesses=np.zeros((7, 2, 1, 3))).cost > 0 and sum(seen) == few.rollouts
 
 
+@pytest.mark.parametrize(("search", "number"), [("straight", 1), ("arc", 2)])
+def test_without_a_search_hands_do_what_geometry_says(search, number):
+    # a rigid body that is moved straight arrives, so that both paths, which end in one place, cost nothing; one roll-out says so
+    start, config = lying(), replace(SMALL, moving=31)
+    goal = moved_goal(start, np.array([0.06, 0.0, 0.0]))
+    found = plan(RigidTwin.of(start), start, goal, config, optimiser=search)
+    expected = Controls.of(start, config).moved(guesses(Controls.of(start, config), goal)[number : number + 1])[0]
+    np.testing.assert_allclose(found.moved, expected, atol=1e-12)
+    assert found.rollouts == 1 and found.cost < 1e-6 and str(Arm.of(f"rigid/{search}")) == f"rigid/{search}"
+
+
 @pytest.mark.parametrize("gravity", [(0, 0, -9.8), (0, 9.8, 0)])
 def test_hands_first_go_to_where_what_they_hold_is_wanted(gravity):
     start, shift = lying(gravity), np.array([0.1, 0.02, -0.03])

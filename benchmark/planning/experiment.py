@@ -21,6 +21,7 @@ from ..processes import workers
 from .arms import Arm
 from .config import PlanConfig
 from .keeping import KnownTwins
+from .mppi import BLIND
 from .summary import summary
 from .tasks import get_task
 from .trial import Trial
@@ -90,7 +91,7 @@ def _missing(rows, arms) -> list[str]:
 def _same_search(folder, cases, config: PlanConfig) -> None:
     """Raises ValueError where rows are there of another number of roll-outs."""
     for case in cases:
-        for row in _rows(folder, case):
+        for row in (one for one in _rows(folder, case) if Arm.of(one["arm"]).optimiser not in BLIND):
             if row.get("rollouts", config.rollouts) != config.rollouts:
                 said = f"has plans of {row['rollouts']} roll-outs, got {config.rollouts}: name another --out, or as many --samples"
                 raise ValueError(f"{folder / 'cases' / case.name}.json {said}")
@@ -142,7 +143,7 @@ def _asked(arguments):
     parser.add_argument("--tasks", nargs="+", default=TASKS)
     parser.add_argument("--starts", nargs="+", type=int, default=range(5), help="numbers of starts, each with a body of its own")
     parser.add_argument("--hidden", nargs="+", choices=HIDDEN, default=("none",), help="what is concealed in the truth")
-    parser.add_argument("--arms", nargs="+", default=ARMS, help="METHOD[+EFFECT][/shooting][@SEED] each")
+    parser.add_argument("--arms", nargs="+", default=ARMS, help="METHOD[+EFFECT][/SEARCH][@SEED] each")
     parser.add_argument("--samples", type=int, default=PlanConfig.samples, help="roll-outs that are simulated together")
     parser.add_argument("--updates", type=int, default=PlanConfig.updates)
     parser.add_argument("--preset", choices=("quick", "full"), default="quick", help="of the fits")

@@ -9,7 +9,7 @@ import numpy as np
 
 from .config import PlanConfig
 
-__all__ = ["OPTIMISERS", "Found", "coloured", "mppi", "shooting", "softmax"]
+__all__ = ["BLIND", "OPTIMISERS", "Found", "blind", "coloured", "mppi", "shooting", "softmax"]
 
 Cost = Callable[[np.ndarray], np.ndarray]  # way points (B, K, H, 3) -> (B,), infinite where a roll-out diverged
 Project = Callable[[np.ndarray], np.ndarray]
@@ -82,6 +82,17 @@ def shooting(
     return _found(best, history)
 
 
+def blind(k: int):
+    """A search that is none: guess ``k`` is the plan, whatever it costs, and one roll-out says what the twin thinks of it."""
+
+    def search(cost: Cost, project: Project, shape, step: float, config: PlanConfig, *, seed: int = 0, guesses=None) -> Found:
+        ways = guesses[k : k + 1]
+        best = _better((np.inf, None), cost(ways), ways)
+        return _found(best, [float(best[0])])
+
+    return search
+
+
 def _guessed(guesses, shape, config):
     return np.zeros((1, *shape)) if guesses is None else guesses[: config.samples]
 
@@ -105,4 +116,5 @@ def _found(best, history) -> Found:
     return Found(best[1], float(best[0]), tuple(history))
 
 
-OPTIMISERS = {"mppi": mppi, "shooting": shooting}
+OPTIMISERS = {"mppi": mppi, "shooting": shooting, "straight": blind(1), "arc": blind(2)}  # the last two as ``guesses`` has them
+BLIND = ("straight", "arc")
