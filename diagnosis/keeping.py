@@ -13,7 +13,7 @@ from ..datasets.temporary import replacing
 __all__ = ["NAMES", "TRACKS", "TWINS", "write_tracks", "write_twins"]
 
 TRACKS, TWINS = "tracks.npz", "twins"
-NAMES = ("sound", "told")  # of twins: as it was questioned, and with the effect that was named
+NAMES = ("baseline", "extended")  # of twins, as of tracks: as it was questioned, and with the effect that was named
 
 
 def write_tracks(arrays: Mapping[str, np.ndarray], out: Path) -> None:

@@ -29,7 +29,7 @@ READINGS = 0.9  # names are readings until they have this much of the probabilit
 
 @dataclass(frozen=True)
 class Outcome:
-    """result: what ``diagnosis.json`` holds; arrays: what the report draws, see ``write_report``; twins by name, ``sound`` and ``told``."""
+    """result: what ``diagnosis.json`` holds; arrays: what ``write_report`` draws; twins by the names of ``keeping.NAMES``."""
 
     result: dict
     arrays: dict
@@ -71,7 +71,7 @@ class Outcome:
             },
             "seconds": round(seconds, 1),
         }
-        twins = {name: twin for name, twin in (("sound", found.twin), ("told", found.told)) if twin is not None}
+        twins = {name: twin for name, twin in (("baseline", found.twin), ("extended", found.told)) if twin is not None}
         return cls(result, _arrays(parts, runs), twins)
 
     def write(self, out: str | Path) -> None:

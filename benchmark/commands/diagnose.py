@@ -64,6 +64,6 @@ class Diagnose:
         found.write(folder)
         for line in filter(None, (headline(found.result), improvement(found.result), found.result["experiment"])):
             print(shown(line))
-        twins = ", twins" if (folder / "twins" / "sound").is_dir() else ""
+        twins = ", twins" if (folder / "twins" / "baseline").is_dir() else ""
         print(f"Written to {shown(str(folder))}: diagnosis.json, report.html, tracks.npz{twins}")
         return 0

@@ -37,7 +37,7 @@ def of_diagnosis(folder: str, recording: str = "") -> tuple[Scenario, dict[str, 
     k = names.index(recording) if recording else 0
     try:
         scenario, rollouts = _scenario(records[k], k, arrays), {}
-        for column, label in zip(("baseline", "extended"), _labels(said), strict=True):
+        for column, label in zip(NAMES, _labels(said), strict=True):
             if (path := arrays.get(f"{column}_{k}")) is not None:
                 if path.shape != scenario.points.shape:
                     raise ValueError(f"{column}_{k} must have shape {scenario.points.shape}, got {path.shape}")

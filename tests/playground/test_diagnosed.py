@@ -40,7 +40,7 @@ def folder(made, tmp_path):
     arrays = dict(observed_0=blown, baseline_0=seen, extended_0=blown, controllers_0=told.controllers, up=up)
     hidden = arrays["observed_0"].copy()
     hidden[3, 0] = np.nan
-    Outcome(said, arrays | dict(observed_0=hidden), {"sound": sound, "told": windy}).write(tmp_path / "out")
+    Outcome(said, arrays | dict(observed_0=hidden), {"baseline": sound, "extended": windy}).write(tmp_path / "out")
     return tmp_path / "out"
 
 
@@ -105,7 +105,7 @@ def test_what_cannot_be_read_is_said_in_one_line(folder):
 
 
 def test_the_next_diagnosis_takes_the_twins_of_the_last_away(made, folder):
-    write_twins({"sound": replace(made[1], values=made[1].values | {"poisson": 0.2})}, folder)
-    assert sorted(p.name for p in (folder / "twins").iterdir()) == ["sound"]
+    write_twins({"baseline": replace(made[1], values=made[1].values | {"poisson": 0.2})}, folder)
+    assert sorted(p.name for p in (folder / "twins").iterdir()) == ["baseline"]
     (found,) = twins_of(str(folder)).values()
     assert found.values["poisson"] == 0.2
