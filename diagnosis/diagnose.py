@@ -16,6 +16,7 @@ from .asking import ask
 from .config import DiagnosisConfig
 from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
+from .keeping import write_tracks, write_twins
 from .locate import clusters
 from .outcome import Outcome
 from .page.document import plain
@@ -56,7 +57,7 @@ class Diagnosis:
     chosen: Refit | None = None
 
     def write(self, out: str | Path) -> None:
-        """Write ``diagnosis.json`` and ``report.html`` into the folder ``out``, each in one rename."""
+        """Write ``diagnosis.json``, ``report.html`` and ``tracks.npz`` into the folder ``out``, each in one rename."""
         out = Path(out)
         with replacing(out / "diagnosis.json") as temporary:
             temporary.write_text(json.dumps(plain(self.result), indent=1, allow_nan=False), encoding="utf-8")
@@ -64,6 +65,8 @@ class Diagnosis:
         where = self.result["where"]
         shown = {**self.result, "where": where and {**where, "points": nodes}}
         write_report(shown, self.arrays, out / "report.html")
+        write_tracks(self.arrays, out)
+        write_twins({}, out)
 
 
 def diagnose(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .effects import effects
 from .inference.phases import Answer, Evidence, Named
+from .keeping import write_tracks, write_twins
 from .page.document import plain
 from .page.words import effect_name
 from .report import write_report
@@ -28,10 +29,11 @@ READINGS = 0.9  # names are readings until they have this much of the probabilit
 
 @dataclass(frozen=True)
 class Outcome:
-    """result: what ``diagnosis.json`` holds; arrays: what the report draws, see ``write_report``."""
+    """result: what ``diagnosis.json`` holds; arrays: what ``write_report`` draws; twins by the names of ``keeping.NAMES``."""
 
     result: dict
     arrays: dict
+    twins: dict = field(default_factory=dict)
 
     @classmethod
     def of(cls, found, parts: Sequence[tuple[Scenario, str]], runs, config: DiagnosisConfig, *, seconds: float) -> Outcome:
@@ -69,14 +71,17 @@ class Outcome:
             },
             "seconds": round(seconds, 1),
         }
-        return cls(result, _arrays(parts, runs))
+        twins = {name: twin for name, twin in (("baseline", found.twin), ("extended", found.told)) if twin is not None}
+        return cls(result, _arrays(parts, runs), twins)
 
     def write(self, out: str | Path) -> None:
-        """Write ``diagnosis.json`` and ``report.html`` into the folder ``out``, each in one rename."""
+        """Write ``diagnosis.json``, ``report.html``, ``tracks.npz`` and the folder ``twins`` into the folder ``out``."""
         out = Path(out)
         with replacing(out / "diagnosis.json") as temporary:
             temporary.write_text(json.dumps(plain(self.result), indent=1, allow_nan=False), encoding="utf-8")
         write_report(self.result, self.arrays, out / "report.html")
+        write_tracks(self.arrays, out)
+        write_twins(self.twins, out)
 
 
 def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str, ...]]:

@@ -1,6 +1,7 @@
 """Planning: the search against problems of known solution, what hands may do, goals, batches, nulls, the command and its files."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,8 @@ from twinbench.benchmark.planning.config import PlanConfig
 from twinbench.benchmark.planning.controls import Controls, axes_of
 from twinbench.benchmark.planning.cost import Judge
 from twinbench.benchmark.planning.goal import Goal
+from twinbench.benchmark.planning.guesses import guesses, wanted_shifts
+from twinbench.benchmark.planning.keeping import KnownTwins
 from twinbench.benchmark.planning.mppi import coloured, mppi, shooting, softmax
 from twinbench.benchmark.planning.planner import held, plan
 from twinbench.benchmark.planning.summary import difference, summary
@@ -83,7 +86,7 @@ def test_noise_is_coloured():
 def test_mppi_finds_the_optimum_of_a_quadratic(seed):
     # sum_k |P_k - g_k|^2 has its minimum, 0, at g, which is feasible. The last noise is 0.5 * 0.2 * 0.8^24 m = 0.5 mm a step, summed over
     # two steps; the mean of 200 samples is nearer than one sample is
-    config = PlanConfig(samples=200, updates=25, segments=2)
+    config = PlanConfig(samples=200, updates=25, segments=2, noise=0.5)
     goal = np.array([[[0.1, -0.05, 0.08]], [[0.2, 0.02, 0.0]]])
     count = []
 
@@ -97,6 +100,53 @@ def test_mppi_finds_the_optimum_of_a_quadratic(seed):
     assert sum(count) == config.rollouts and list(found.best) == sorted(found.best, reverse=True)
     shot = shooting(cost, controls.feasible, (2, 1, 3), 0.2, config, seed=seed)
     assert sum(count) == 2 * config.rollouts and found.cost < shot.cost  # as many roll-outs find less without a mean
+
+
+def test_searches_begin_at_the_best_guess_and_simulate_no_more_for_it():
+    # cost |P - goal|: a guess that is the goal is never left, whatever is drawn; all in all samples x updates paths are simulated
+    goal, seen = np.full((1, 2, 1, 3), 0.05), []
+
+    def cost(ways):
+        seen.append(len(ways))
+        return np.abs(ways - goal).sum((1, 2, 3))
+
+    config = replace(SMALL, samples=6, updates=3)
+    for search in (mppi, shooting):
+        seen.clear()
+        found = search(cost, lambda ways: ways, (2, 1, 3), 0.1, config, guesses=np.concatenate([0 * goal, goal, 3 * goal]))
+        assert found.cost == 0 and found.best == (0.0,) * 3 and sum(seen) == config.rollouts
+        np.testing.assert_array_equal(found.ways, goal[0])
+    seen.clear()
+    few = replace(config, samples=2)
+    assert mppi(cost, lambda ways: ways, (2, 1, 3), 0.1, few, guesses=np.zeros((7, 2, 1, 3))).cost > 0 and sum(seen) == few.rollouts
+
+
+@pytest.mark.parametrize(("search", "number"), [("straight", 1), ("arc", 2)])
+def test_without_a_search_hands_do_what_geometry_says(search, number):
+    # a rigid body that is moved straight arrives, so that both paths, which end in one place, cost nothing; one roll-out says so
+    start, config = lying(), replace(SMALL, moving=31)
+    goal = moved_goal(start, np.array([0.06, 0.0, 0.0]))
+    found = plan(RigidTwin.of(start), start, goal, config, optimiser=search)
+    expected = Controls.of(start, config).moved(guesses(Controls.of(start, config), goal)[number : number + 1])[0]
+    np.testing.assert_allclose(found.moved, expected, atol=1e-12)
+    assert found.rollouts == 1 and found.cost < 1e-6 and str(Arm.of(f"rigid/{search}")) == f"rigid/{search}"
+
+
+@pytest.mark.parametrize("gravity", [(0, 0, -9.8), (0, 9.8, 0)])
+def test_hands_first_go_to_where_what_they_hold_is_wanted(gravity):
+    start, shift = lying(gravity), np.array([0.1, 0.02, -0.03])
+    controls, goal = Controls.of(start, PlanConfig()), moved_goal(start, shift)
+    np.testing.assert_allclose(wanted_shifts(controls, goal)[0] @ controls.axes, shift, atol=1e-12)
+    still, straight, arc = guesses(controls, goal)
+    assert not still.any()
+    np.testing.assert_allclose(straight[-2:, 0] @ controls.axes, [shift, shift], atol=1e-12)
+    np.testing.assert_allclose(arc[-1], straight[-1], atol=1e-12)
+    # half a circle of the diameter d over a level way: d / 2 above it in its middle
+    level = np.linalg.norm(controls.axes[:2] @ shift)
+    np.testing.assert_allclose((arc - straight).max((0, 1)), [0, 0, level / 2], atol=1e-12)
+    cloud = Goal("cloud", goal.points, None, goal.points[:30] + shift)
+    expected = goal.points[:30].mean(0) + shift - goal.points.mean(0)
+    np.testing.assert_allclose(wanted_shifts(controls, cloud)[0] @ controls.axes, expected, atol=1e-12)
 
 
 def test_nothing_that_does_not_diverge_is_said():
@@ -431,6 +481,29 @@ def test_an_experiment_is_resumed(tmp_path, capfd):
     assert "1 to run" in capfd.readouterr().out and experiment.main(asked) == 0
     assert "0 to run" in capfd.readouterr().out
     assert (tmp_path / "cases" / "rope-line_none_0.json").stat().st_mtime_ns == written
+    more = list(asked)
+    more[more.index("--arms") + 1 : more.index("--samples")] = ["static", "rigid@1", "rigid"]
+    assert experiment.main(more) == 0  # an arm that is added is run alone, with the twin that is there
+    again = json.loads((tmp_path / "cases" / "rope-line_none_0.json").read_text())
+    assert [row["arm"] for row in again] == ["static", "rigid@1", "rigid"] and again[0] == rows[0] and again[2] == rows[1]
+    assert {p.name for p in (tmp_path / "twins" / "rope_drag_none_0_quick").iterdir()} == {"static", "rigid"}
+    capfd.readouterr()
+    with pytest.raises(ValueError, match="has plans of 2 roll-outs, got 4"):
+        experiment.main([*more, "--updates", "2"])
+
+
+def test_twins_of_an_experiment_come_back_from_the_disk_and_half_of_one_does_not(tmp_path):
+    start = lying()
+    twins = KnownTwins(tmp_path)
+    assert "rigid" not in twins
+    twins["rigid"] = RigidTwin.of(start)
+    again = KnownTwins(tmp_path)
+    path = start.controllers + np.linspace(0, 0.1, 4)[:, None, None]
+    np.testing.assert_array_equal(again["rigid"].rollout(path).positions, twins["rigid"].rollout(path).positions)
+    (tmp_path / "rigid" / "fitted").unlink()
+    assert "rigid" not in KnownTwins(tmp_path)
+    with pytest.raises(KeyError):
+        KnownTwins(tmp_path)["rigid"]
 
 
 def test_intervals_are_students():
@@ -485,3 +558,27 @@ def test_bad_input_is_one_line(arguments, said, capsys, tmp_path):
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and said in lines[0]
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
+
+
+@pytest.mark.slow
+def test_the_page_of_plans_fits_a_screen_and_a_phone_and_needs_no_network(tmp_path, capsys):
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no chromium here: apt-get install chromium")
+    asked = ["plan", "sample/plush_lift", "--task", "pose", "--methods", "rigid", "static", "--samples", "4", "--updates", "1"]
+    assert main([*asked, "--out", str(tmp_path)]) == 0
+    capsys.readouterr()
+    with playwright.sync_playwright() as one:
+        browser = one.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        context, wrong = browser.new_context(offline=True), []
+        for width, height in ((1000, 700), (390, 780)):
+            view = context.new_page()
+            view.set_viewport_size(dict(width=width, height=height))
+            view.on("pageerror", lambda error: wrong.append(str(error)))
+            view.on("request", lambda request: wrong.append(request.url) if not request.url.startswith("file:") else None)
+            view.goto((tmp_path / "plan.html").as_uri())
+            assert view.evaluate("document.documentElement.scrollWidth") <= width
+            assert view.locator("svg[role=img]").count() == 4  # two twins, each from above and from the side
+        assert not wrong
+        browser.close()

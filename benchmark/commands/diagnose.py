@@ -46,7 +46,7 @@ class Diagnose(OnCluster):
     quiet: bool = False
     """Say nothing on standard error of how far it is."""
     out: Annotated[Path, arg(metavar="DIR")] = Path("results/diagnosis")
-    """Folder for diagnosis.json and report.html."""
+    """Folder for diagnosis.json, report.html and what twinbench video and twinbench play show of them."""
 
     def __call__(self) -> int:
         from ...diagnosis.diagnose import TWINS, diagnose
@@ -74,7 +74,8 @@ class Diagnose(OnCluster):
         found.write(folder)
         for line in filter(None, (headline(found.result), improvement(found.result), found.result["experiment"])):
             print(shown(line))
-        print(f"Written to {shown(str(folder))}: diagnosis.json, report.html")
+        twins = ", twins" if (folder / "twins" / "baseline").is_dir() else ""
+        print(f"Written to {shown(str(folder))}: diagnosis.json, report.html, tracks.npz{twins}")
         return 0
 
     def _each(self) -> int:

@@ -31,7 +31,7 @@ class Plan:
     goal: Annotated[str, arg(metavar="FILE")] = ""
     """A cloud of points instead (.npy, .ply, .csv, .txt; metres, axes of the recording)."""
     methods: Names = ("rigid", "continuum")
-    """Who plans: METHOD[+EFFECT][/shooting][@SEED] each, as continuum, continuum+wind, rigid/shooting."""
+    """Who plans: METHOD[+EFFECT][/SEARCH][@SEED] each, as continuum, continuum+wind, rigid/shooting, static/arc."""
     hidden: str = "none"
     """What a drawn body hides from twins: none, wind or added_mass."""
     samples: int = 24

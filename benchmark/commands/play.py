@@ -22,10 +22,11 @@ class Play:
     Twins that twinbench run fitted are taken from the cache, others are fitted. Needs viser (the extra "view"). Ctrl-C ends it.
     """
 
-    what: Annotated[Positional[str], arg(metavar="CASE|TWIN")]
-    """A recording, as for twinbench diagnose; or the folder of one saved twin, with its method in --methods."""
-    methods: Names = ("phystwin",)
-    """Methods whose twins stand side by side under the same hands."""
+    what: Annotated[Positional[str], arg(metavar="CASE|TWIN|DIAGNOSIS")]
+    """A recording, as for twinbench diagnose; the folder of one saved twin, with its method in --methods; or the folder of a diagnosis:
+    its twin without and with what was named."""
+    methods: Names = ()
+    """Methods whose twins stand side by side under the same hands. Default: phystwin; a diagnosis has its own."""
     case: Annotated[str, arg(metavar="CASE")] = ""
     """With TWIN: its recording, which tells hands that the twin does not know, and is shown beside it."""
     host: str = "127.0.0.1"
@@ -46,14 +47,17 @@ class Play:
     def __call__(self) -> int:
         from ..cache import Cache, default_cache
         from ..playground.casting import opened, stage_of
+        from ..playground.diagnosed import is_diagnosis
         from ..playground.page import Page, free_port
         from ..playground.splats import Splats
 
+        if is_diagnosis(self.what) and (self.methods or self.case):
+            raise ValueError(f"{self.what} is a diagnosis, which has its own twins and recording: leave --methods and --case away")
         known("preset", [self.preset], PRESETS)
         known("device", [self.device], DEVICES)
         if not 1 <= self.port <= 65535:
             raise ValueError(f"--port must lie in [1, 65535], got {self.port}")
-        methods = chosen_methods(self.methods)
+        methods = chosen_methods(self.methods or ("phystwin",))
         free_port(self.host, self.port)
 
         def say(said: str) -> None:
@@ -65,7 +69,7 @@ class Play:
         splats = {}
         if self.gaussians:
             if made is None or scenario is None:
-                raise ValueError("--gaussians needs a CASE: a saved twin has no images")
+                raise ValueError("--gaussians needs a CASE: a saved twin or a diagnosis has no images")
             for player in stage.players:
                 say(f"{player.name}: Gaussians, fitted or taken from the cache")
                 splats[player.name] = Splats(made.gaussians(scenario.name, player.name), player.live.positions)

@@ -18,17 +18,18 @@ __all__ = ["Video"]
 class Video:
     """Film roll-outs beside their recording, with lines to where points were seen: .mp4, .gif, or .html, a page that needs no network.
 
-    Of a CASE twins are taken from the cache or fitted; of a RUN its rows are shown as they were scored, from the cache alone.
+    Of a CASE twins are taken from the cache or fitted; of a RUN its rows are shown as they were scored, from the cache alone; of a
+    DIAGNOSIS the twin without and with what was named.
     """
 
-    what: Annotated[Positional[str], arg(metavar="CASE|RUN")]
-    """A recording, as for twinbench diagnose; or the folder of a run, or the one above it for the latest there."""
+    what: Annotated[Positional[str], arg(metavar="CASE|RUN|DIAGNOSIS")]
+    """A recording, as for twinbench diagnose; the folder of a run, or the one above it for the latest there; or that of a diagnosis."""
     out: Annotated[tuple[Path, ...], arg(metavar="FILE ...")]
     """What to write: files that end in .mp4, .gif or .html."""
     methods: Names = ()
     """Methods to show. Default: of a case phystwin, of a run all of its methods."""
     scenario: Annotated[str, arg(metavar="NAME")] = ""
-    """Of a run: the recording. Default: its first."""
+    """Of a run or a diagnosis: the recording. Default: its first."""
     transfer: bool = False
     """Of a run: the twin that was brought over from another recording."""
     seed: int = 0
@@ -40,6 +41,7 @@ class Video:
 
     def __call__(self) -> int:
         from ..cache import Cache, default_cache
+        from ..playground.diagnosed import is_diagnosis, of_diagnosis
         from ..playground.filming import KINDS, Film
         from ..playground.rows import of_case, of_run
         from ..progress import Bar
@@ -51,7 +53,11 @@ class Video:
                 raise ValueError(f"--out must end in {', '.join(KINDS)}, got {path}")
         cache = Cache(default_cache())
         with Bar("video") as bar:
-            if (Path(self.what) / "rows.parquet").is_file() or (Path(self.what) / "latest").exists():
+            if is_diagnosis(self.what):
+                if self.methods or self.transfer:
+                    raise ValueError(f"{self.what} is a diagnosis, which has its own twins: --methods and --transfer choose rows of a run")
+                scenario, rollouts = of_diagnosis(self.what, self.scenario)
+            elif (Path(self.what) / "rows.parquet").is_file() or (Path(self.what) / "latest").exists():
                 scenario, rollouts = of_run(self.what, cache, self.scenario, self.methods, self.transfer, self.seed)
             else:
                 if self.scenario or self.transfer:

@@ -14,7 +14,9 @@ __all__ = ["Arm", "fitted"]
 
 @dataclass(frozen=True)
 class Arm:
-    """An entrant, written METHOD[+EFFECT][/shooting][@SEED]: ``continuum``, ``continuum+wind``, ``rigid/shooting``, ``continuum@1``.
+    """An entrant, written METHOD[+EFFECT][/SEARCH][@SEED]: ``continuum``, ``continuum+wind``, ``rigid/shooting``, ``continuum@1``.
+
+    A search is one of ``OPTIMISERS``. By ``straight`` and ``arc`` no twin has a say: hands bring what they hold to where it is wanted.
 
     ``added`` is an effect that ``continuum`` is fitted with, its amounts among what is fitted; ``seed`` is that of the search.
     """

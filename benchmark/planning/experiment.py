@@ -2,7 +2,8 @@
 
 A case is a task, a hidden effect and a number. It draws a body, a recording of it, a start with new grips and a goal, all from seeds that
 its name gives; fits every arm to the train frames of the recording; plans with each from the start, of which frame 0 is seen; and executes
-every plan in the engine of the body. Twins and planners are told nothing of the truth. Cases that are in DIR are not run again.
+every plan in the engine of the body. Twins and planners are told nothing of the truth. Rows that are in DIR are not made again, nor are
+twins there fitted again: arms and tasks may be added.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from ...datasets.temporary import replacing
 from ..processes import workers
 from .arms import Arm
 from .config import PlanConfig
+from .keeping import KnownTwins
+from .mppi import BLIND
 from .summary import summary
 from .tasks import get_task
 from .trial import Trial
@@ -44,24 +47,54 @@ class Case:
         return f"{self.task}_{self.hidden}_{self.number}"
 
 
-def case_rows(case: Case, arms: Sequence[str], config: PlanConfig, *, preset: str = "quick", device: str = "cpu", say=print) -> list[dict]:
-    """A row for each of ``arms``: what the twin said of its plan, and what the plan truly did. Lengths in m."""
+def case_rows(case: Case, arms: Sequence[str], config: PlanConfig, *, known: dict, preset: str = "quick", device: str = "cpu", say=print):
+    """One after the other a row for each of ``arms``: what the twin said of its plan, and what the plan truly did. Lengths in m.
+
+    ``known`` has the twins that are fitted already, and gets those that are fitted here.
+    """
     trial = Trial.of_body(get_task(case.task).body, case.task, config, seed=SEED + case.number, hidden=case.hidden)
-    rows = []
+    trial = replace(trial, known=known)
     for one in map(Arm.of, arms):
         row = dict(hidden=case.hidden, start=case.number) | trial.attempt(one, preset=preset, device=device).row
-        rows.append(row)
         said = f"truly {1e3 * row['true_cost']:.1f} mm" if "true_cost" in row else row["status"]
         say(f"{case.name}: {one}: {said}, before {1e3 * row['still']:.1f} mm")
-    return rows
+        yield row
 
 
-def _written(folder: Path, case: Case, arms, config, preset, device) -> tuple[Case, list[dict]]:
-    """What a worker does: the rows of a case, in its file."""
-    rows = case_rows(case, arms, config, preset=preset, device=device, say=lambda said: print(said, flush=True))
-    with replacing(folder / "cases" / f"{case.name}.json") as temporary:
-        temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
-    return case, rows
+def _written(folder: Path, case: Case, arms, config, preset, device) -> Case:
+    """What a worker does: the rows of a case in its file, which is written anew after each arm."""
+    file, rows = folder / "cases" / f"{case.name}.json", _rows(folder, case)
+    task = get_task(case.task)
+    known = KnownTwins(folder / "twins" / f"{task.body}_{task.shows}_{case.hidden}_{case.number}_{preset}")
+    for row in case_rows(case, _missing(rows, arms), config, known=known, preset=preset, device=device, say=_say):
+        rows.append(row)
+        rows.sort(key=lambda one: list(arms).index(one["arm"]) if one["arm"] in arms else len(arms))
+        with replacing(file) as temporary:
+            temporary.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    return case
+
+
+def _say(said):
+    print(said, flush=True)
+
+
+def _rows(folder, case) -> list[dict]:
+    file = folder / "cases" / f"{case.name}.json"
+    return json.loads(file.read_text(encoding="utf-8")) if file.exists() else []
+
+
+def _missing(rows, arms) -> list[str]:
+    there = {row["arm"] for row in rows}
+    return [one for one in arms if one not in there]
+
+
+def _same_search(folder, cases, config: PlanConfig) -> None:
+    """Raises ValueError where rows are there of another number of roll-outs."""
+    for case in cases:
+        for row in (one for one in _rows(folder, case) if Arm.of(one["arm"]).optimiser not in BLIND):
+            if row.get("rollouts", config.rollouts) != config.rollouts:
+                said = f"has plans of {row['rollouts']} roll-outs, got {config.rollouts}: name another --out, or as many --samples"
+                raise ValueError(f"{folder / 'cases' / case.name}.json {said}")
 
 
 def _gathered(folder: Path) -> list[dict]:
@@ -83,7 +116,8 @@ def main(arguments=None) -> int:
     for case in cases:
         if not get_task(case.task).body:
             raise ValueError(f"task {case.task} has no body that it is measured with")
-    todo = [case for case in cases if not (asked.out / "cases" / f"{case.name}.json").exists()]
+    _same_search(asked.out, cases, config)
+    todo = [case for case in cases if _missing(_rows(asked.out, case), arms)]
     print(
         f"{len(cases)} cases, {len(todo)} to run, {len(arms)} arms each, {config.rollouts} roll-outs of {config.frames} frames a plan",
         flush=True,
@@ -105,11 +139,11 @@ def main(arguments=None) -> int:
 
 def _asked(arguments):
     parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.planning.experiment", description=__doc__.split("\n")[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder for cases/, rows.csv and summary.md; cases that are there are kept")
+    parser.add_argument("--out", type=Path, required=True, help="folder for cases/, twins/, rows.csv and summary.md; what is there is kept")
     parser.add_argument("--tasks", nargs="+", default=TASKS)
     parser.add_argument("--starts", nargs="+", type=int, default=range(5), help="numbers of starts, each with a body of its own")
     parser.add_argument("--hidden", nargs="+", choices=HIDDEN, default=("none",), help="what is concealed in the truth")
-    parser.add_argument("--arms", nargs="+", default=ARMS, help="METHOD[+EFFECT][/shooting][@SEED] each")
+    parser.add_argument("--arms", nargs="+", default=ARMS, help="METHOD[+EFFECT][/SEARCH][@SEED] each")
     parser.add_argument("--samples", type=int, default=PlanConfig.samples, help="roll-outs that are simulated together")
     parser.add_argument("--updates", type=int, default=PlanConfig.updates)
     parser.add_argument("--preset", choices=("quick", "full"), default="quick", help="of the fits")

@@ -9,7 +9,7 @@ import numpy as np
 
 from .config import PlanConfig
 
-__all__ = ["OPTIMISERS", "Found", "coloured", "mppi", "shooting", "softmax"]
+__all__ = ["BLIND", "OPTIMISERS", "Found", "blind", "coloured", "mppi", "shooting", "softmax"]
 
 Cost = Callable[[np.ndarray], np.ndarray]  # way points (B, K, H, 3) -> (B,), infinite where a roll-out diverged
 Project = Callable[[np.ndarray], np.ndarray]
@@ -42,18 +42,24 @@ def coloured(random: np.random.Generator, count: int, shape: tuple[int, int, int
     return steps.cumsum(1)
 
 
-def mppi(cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0) -> Found:
+def mppi(
+    cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0, guesses=None
+) -> Found:
     """The best of ``config.rollouts`` paths: each update draws about a mean, which then moves to their softmax mean.
 
-    The first sample of an update is its mean; the first mean is to hold still. ``step`` [m] is how far a hand gets in a segment.
-    Raises ValueError where every roll-out diverged.
+    The first mean is the best of ``guesses`` (G, K, H, 3), as many as an update has samples, or to hold still; the first sample of a later
+    update is its mean. ``step`` [m] is how far a hand gets in a segment. Raises ValueError where every roll-out diverged.
     """
-    random, mean, best, history = np.random.default_rng(seed), np.zeros((1, *shape)), (np.inf, None), []
+    random, guesses = np.random.default_rng(seed), _guessed(guesses, shape, config)
+    best, mean = _begun(cost, guesses)
+    history = []
     for update in range(config.updates):
         spread = config.noise * step * config.decay**update
-        noise = spread * coloured(random, config.samples - 1, shape, config.colour)
-        ways = np.concatenate([mean, project(mean + noise)])
-        costs = cost(ways)
+        drawn = config.samples - (1 if update else len(guesses))
+        noise = spread * coloured(random, drawn, shape, config.colour)
+        ways = project(mean + noise)
+        ways = np.concatenate([mean, ways]) if update else ways
+        costs = cost(ways) if len(ways) else np.zeros(0)
         best = _better(best, costs, ways)
         history.append(float(best[0]))
         if np.isfinite(costs).any():
@@ -62,20 +68,44 @@ def mppi(cost: Cost, project: Project, shape: tuple[int, int, int], step: float,
     return _found(best, history)
 
 
-def shooting(cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0) -> Found:
-    """The best of as many paths, all drawn as the first update of ``mppi`` draws them."""
-    random, best, history = np.random.default_rng(seed), (np.inf, None), []
+def shooting(
+    cost: Cost, project: Project, shape: tuple[int, int, int], step: float, config: PlanConfig, *, seed: int = 0, guesses=None
+) -> Found:
+    """The best of as many paths, all drawn as the first update of ``mppi`` draws them: about the best of the same ``guesses``."""
+    random, guesses, history = np.random.default_rng(seed), _guessed(guesses, shape, config), []
+    best, mean = _begun(cost, guesses)
     for update in range(config.updates):
-        noise = config.noise * step * coloured(random, config.samples, shape, config.colour)
-        if not update:
-            noise[0] = 0  # to hold still
-        ways = project(noise)
-        best = _better(best, cost(ways), ways)
+        drawn = config.samples - (0 if update else len(guesses))
+        ways = project(mean + config.noise * step * coloured(random, drawn, shape, config.colour))
+        best = _better(best, cost(ways) if drawn else np.zeros(0), ways)
         history.append(float(best[0]))
     return _found(best, history)
 
 
+def blind(k: int):
+    """A search that is none: guess ``k`` is the plan, whatever it costs, and one roll-out says what the twin thinks of it."""
+
+    def search(cost: Cost, project: Project, shape, step: float, config: PlanConfig, *, seed: int = 0, guesses=None) -> Found:
+        ways = guesses[k : k + 1]
+        best = _better((np.inf, None), cost(ways), ways)
+        return _found(best, [float(best[0])])
+
+    return search
+
+
+def _guessed(guesses, shape, config):
+    return np.zeros((1, *shape)) if guesses is None else guesses[: config.samples]
+
+
+def _begun(cost, guesses):
+    """(cost and path of the best guess, that path (1, K, H, 3) or the first where all diverged)."""
+    best = _better((np.inf, None), cost(guesses), guesses)
+    return best, guesses[:1] if best[1] is None else best[1][None]
+
+
 def _better(best, costs, ways):
+    if not len(costs):
+        return best
     k = int(np.argmin(costs))
     return (costs[k], ways[k]) if costs[k] < best[0] else best
 
@@ -86,4 +116,5 @@ def _found(best, history) -> Found:
     return Found(best[1], float(best[0]), tuple(history))
 
 
-OPTIMISERS = {"mppi": mppi, "shooting": shooting}
+OPTIMISERS = {"mppi": mppi, "shooting": shooting, "straight": blind(1), "arc": blind(2)}  # the last two as ``guesses`` has them
+BLIND = ("straight", "arc")

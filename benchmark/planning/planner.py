@@ -14,6 +14,7 @@ from .config import PlanConfig
 from .controls import Controls
 from .cost import Judge, Outcome
 from .goal import Goal
+from .guesses import guesses
 from .mppi import OPTIMISERS
 
 __all__ = ["Plan", "held", "plan"]
@@ -86,7 +87,8 @@ def plan(
             progress(f"{done} of {config.rollouts} roll-outs", done / config.rollouts)
         return np.array([np.inf if path is None else judge.cost(judge.outcome(_some(path))) for path in paths])
 
-    found = OPTIMISERS[optimiser](cost, controls.feasible, controls.shape, controls.step, config, seed=seed)
+    begin = guesses(controls, goal)
+    found = OPTIMISERS[optimiser](cost, controls.feasible, controls.shape, controls.step, config, seed=seed, guesses=begin)
     rolled, ways = spent, found.ways[None]
     path = positions(ways)[0]
     known = controls.paths(ways)[0], controls.hand, controls.moved(ways)[0], path, judge.outcome(path)

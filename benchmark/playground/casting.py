@@ -16,6 +16,7 @@ from ..opening import Opened, open_scenario
 from ..plan import Evaluation, Fit
 from ..runner import Runner, Settings
 from ..status import Stopped
+from .diagnosed import is_diagnosis, of_diagnosis, recorded_for, twins_of
 from .live import live_of
 from .stage import Player, Stage, Surroundings
 
@@ -99,7 +100,10 @@ def _around(twin, player, scenario) -> Surroundings:
 def opened(
     what: str, methods: dict, cache: Cache, *, seed: int, preset: str, device: str, case: str, say: Callable[[str], None]
 ) -> tuple[dict[str, Twin], Scenario | None, Cast | None]:
-    """(twins by name, the recording or None, who made them or None) of CASE or TWIN, as the command names it."""
+    """(twins by name, the recording or None, who made them or None) of CASE, TWIN or DIAGNOSIS, as the command names it."""
+    if is_diagnosis(what):
+        twins = twins_of(what)
+        return twins, recorded_for(twins, of_diagnosis(what)[0]), None
     if is_twin(what):
         if len(methods) != 1:
             raise ValueError(f"{what} is one twin: name the one method that saved it with --methods")

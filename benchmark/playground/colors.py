@@ -1,4 +1,4 @@
-"""What a colour says of a particle: strain, stiffness, mass, speed or error, from blue (least) to red (most)."""
+"""What a colour says of a particle: strain, stress, stiffness, mass, speed or error, from blue (least) to red (most)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .live import Live
 
 __all__ = ["COLOURS", "Scale", "colours_of", "painted"]
 
-COLOURS = ("own", "strain", "speed", "stiffness", "mass", "error")
+COLOURS = ("own", "strain", "stress", "speed", "stiffness", "mass", "error")
 NEIGHBOURS = 6  # that strain is read from where a body names no edges
 STOPS = np.array([[49, 54, 149], [116, 173, 209], [254, 224, 144], [244, 109, 67], [165, 0, 38]], float)  # ColorBrewer's RdYlBu, reversed
 GREY = np.array([150, 150, 150], np.uint8)
@@ -75,8 +75,8 @@ def colours_of(kind: str, live: Live, strain: Strain, before: np.ndarray | None,
     if kind == "speed":
         moved = np.zeros(len(live.positions)) if before is None else np.linalg.norm(live.positions - before, axis=1)
         return moved * live.fps, UNITS[kind]
-    if kind == "stiffness":
-        return live.stiffness
+    if kind in ("stress", "stiffness"):
+        return getattr(live, kind)
     if kind == "mass":
         return None if live.mass is None else (live.mass, UNITS[kind])
     if kind == "error" and off is not None:

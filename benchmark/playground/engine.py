@@ -12,6 +12,7 @@ from ...physics.batch import Batch, Carried, first_bad
 from ...physics.march import World
 from ...physics.system import System
 from .live import Forces, Live
+from .stress import node_stress
 
 __all__ = ["EngineLive", "Moment"]
 
@@ -121,6 +122,20 @@ class EngineLive(Live):
     @property
     def nodes(self):
         return self.batch.split(self.now.x)[0].double().cpu().numpy()
+
+    @property
+    def stress(self):
+        """Of the elasticity at this moment, at the node that is nearest to a particle."""
+        made, memory = self._numbers(), self.now.carried.cell_memory.double().cpu().numpy()
+        one = self.system.with_values(**{n: float(self.inputs.table[0, self.batch.column(n)]) for n in self.system.values})
+        springs = dict(rest=made.rest.double().cpu().numpy(), stiffness=made.stiffness.double().cpu().numpy())
+        cells = dict(memory=memory.reshape(*memory.shape[:2], -1, 3, 3)) if self.batch.cells_remembering else {}
+        found = node_stress(one, self.nodes, **springs, **cells)
+        return None if found is None else (self.of_particles(found[0]), found[1])
+
+    def of_particles(self, values: np.ndarray) -> np.ndarray:
+        """(M,) of ``values`` (N,) at nodes."""
+        return values
 
     # ---------------------------------------------------------------- forces
 

@@ -101,6 +101,11 @@ class Live(ABC):
         return None
 
     @property
+    def stress(self) -> tuple[np.ndarray, str] | None:
+        """((M,) what the body bears at each particle, its unit), None where the method knows no forces."""
+        return None
+
+    @property
     def mass(self) -> np.ndarray | None:
         """(M,) kg."""
         return None

@@ -84,7 +84,10 @@ class ContinuumLive(EngineLive):
     @property
     def mass(self):
         nodes = self.batch.split(self._numbers().mass[:, None])[0][:, 0].double().cpu().numpy()
-        return _of_nearest(nodes, self.batch.systems[0].positions, self.simulator.scene.structure)
+        return self.of_particles(nodes)
+
+    def of_particles(self, values):
+        return _of_nearest(values, self.batch.systems[0].positions, self.simulator.scene.structure)
 
     @property
     def stiffness(self):

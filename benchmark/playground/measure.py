@@ -3,7 +3,7 @@
 A bar of so many particles, held at one end by a hand that moves up and down; by springs as PhysTwin has them, and as a continuum; nothing
 of it is fitted. Wall time depends on what else the machine does; frames a second of CPU time are what one core that does nothing else would
 give. With ``--viewer`` the page is drawn for a Chromium without a screen, on the same machine; ``--minutes`` plays on and says what memory
-is taken.
+is taken; ``--colours`` says what each colour and the forces cost a frame.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from .stage import Stage
 
 __all__ = ["bar", "main", "played", "twins"]
 
-SHAPES = {500: (20, 5, 5), 2000: (32, 8, 8)}  # particles along, across and up
+SHAPES = {500: (20, 5, 5), 2000: (32, 8, 8), 5000: (50, 10, 10)}  # particles along, across and up
 LENGTH, FPS, FRAMES = 0.3, 30, 120
 SWING, RATE = 0.05, 0.7  # m and 1/s of the hand
 MODULUS, STIFFNESS = 3e4, 1e4  # Pa, and N of a spring: a plush toy's
+REPEATS = 20  # of what is timed for a single frame
 SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 
 
@@ -91,10 +92,11 @@ def swinging(stage: Stage):
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print a line for each body and twin."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--particles", type=int, nargs="+", default=list(SHAPES))
+    parser.add_argument("--particles", type=int, nargs="+", default=[500, 2000])
     parser.add_argument("--methods", nargs="+", default=["phystwin", "continuum"])
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--viewer", action="store_true")
+    parser.add_argument("--colours", action="store_true")
     parser.add_argument("--minutes", type=float, default=0.0)
     asked = parser.parse_args(arguments)
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}", flush=True)
@@ -107,8 +109,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
             wall, cpu = played(swinging(stage), asked.frames)
             size = f"{len(live.positions)} particles, {len(live.nodes)} nodes, {len(live.edges.pairs)} edges, {live.substeps} substeps"
             print(f"{name}: {size}: core {wall:.1f} frames/s, {cpu:.1f} by CPU time{_failed(stage)}", flush=True)
+            if asked.colours:
+                print(f"{name}: ms of CPU time a frame: {_of_colours(stage)}", flush=True)
             if asked.viewer or asked.minutes:
                 _with_page(stage, name, asked)
+
+
+def _of_colours(stage) -> str:
+    """What each colour, and the forces, cost a frame."""
+    from .colors import COLOURS, Strain, colours_of
+
+    player, found = stage.players[0], []
+    live, strain = player.live, Strain(player.live)
+    kinds = [kind for kind in COLOURS if kind not in ("own", "error")]
+    each = {kind: lambda kind=kind: colours_of(kind, live, strain, player.before, None) for kind in kinds}
+    for name, does in (each | {"forces": live.forces}).items():
+        found.append(f"{name} {1e3 / played(does, REPEATS)[1]:.2f}")
+    return ", ".join(found)
 
 
 def _failed(stage):

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
@@ -17,12 +18,13 @@ from .controls import Controls
 from .drawing import Look, Picture, layout
 from .stage import Stage
 
-__all__ = ["Page", "free_port"]
+__all__ = ["Page", "free_port", "through"]
 
 IDLE = 0.02  # s between looks at what browsers ask for, while nothing moves
 RATE = 20  # frames over which the rate is told
 STATUS = 0.2  # s between updates of the text
 KEY = 0.01  # m that a key moves a hand
+RACES = 10  # times that something is told to viewers who come and go meanwhile
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,63}")
 
 
@@ -37,6 +39,20 @@ def free_port(host: str, port: int) -> None:
         raise ValueError(
             f"cannot listen at {host}:{port} ({getattr(error, 'strerror', None) or error}); choose another with --port or --host"
         ) from error
+
+
+def through(does: Callable[[], None]) -> None:
+    """Do what may be done twice, and again where a viewer that comes or goes at that moment has stopped it.
+
+    viser wakes its viewers' tasks from the thread that draws, by asyncio.Event.set, which walks through them while they change.
+    """
+    for attempt in range(RACES):
+        try:
+            return does()
+        except RuntimeError as error:
+            if "mutated during iteration" not in str(error) or attempt == RACES - 1:
+                raise
+            time.sleep(0.001)
 
 
 class Page:
@@ -133,7 +149,15 @@ class Page:
         self.stage.place(hand, self.stage.hands[hand].position + step)
 
     def draw(self) -> None:
-        """All that has changed."""
+        """All that has changed. What cannot be drawn is said, and the page goes on."""
+        try:
+            through(self._drawn)
+        except Exception as error:  # whatever a twin's numbers are, the server lives on
+            said = f"not drawn: {type(error).__name__}: {error}"
+            if said not in self.stage.faults:
+                self.stage.faults.append(said)
+
+    def _drawn(self):
         with self.server.atomic():
             for picture in self.pictures:
                 picture.draw()
@@ -199,7 +223,7 @@ class Page:
     def _tell(self, force: bool) -> None:
         if force or time.perf_counter() - self._told > STATUS:
             self._told = time.perf_counter()
-            self.controls.tell()
+            through(self.controls.tell)
 
     def save(self, name: str) -> None:
         """Write what was taken as the case ``name``. Raises ValueError for what is no plain name, and as ``Stage.save`` does."""

@@ -157,6 +157,7 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
     assert sum(result["probabilities"].values()) == pytest.approx(1.0, abs=1e-3)
     assert {"error", "noise", "representation", "parameters", "named", "unexplained"} <= set(result["budget"][0])
     assert (tmp_path / "report.html").read_text().count('<figure class="budget"') == 1
+    assert (tmp_path / "tracks.npz").is_file() and (tmp_path / "twins" / "baseline" / "twin.json").is_file()
     known = ask(blown[:1], fitted_on=[block("known", seed=7)], config=CONFIG)
     assert known.result["test"]["p"] < 0.03 and [r["role"] for r in known.result["evidence"]["recordings"]] == ["case", "fitted_on"]
     sound = ask([block("sound", seed=5), block("other", seed=6)], config=CONFIG)

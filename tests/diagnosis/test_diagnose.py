@@ -100,7 +100,7 @@ def test_the_command_writes_the_interface_and_an_offline_report(folders, tmp_pat
     assert main(["diagnose", str(folders / "swing"), "--twin", "springs", "--transfer", str(folders / "back"), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert f"Written to {out}: diagnosis.json, report.html" in printed and len(printed.splitlines()) >= 2
-    assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "report.html"]  # and no temporary file
+    assert sorted(p.name for p in out.iterdir()) == ["diagnosis.json", "report.html", "tracks.npz"]  # and no temporary file
 
     def refuse(constant):
         raise AssertionError(f"{constant} is not JSON")

@@ -192,6 +192,28 @@ def test_every_colour_and_all_that_can_be_shown_is_drawn(page, colour):
     assert "weighs" in page.pictures[0].said and page.pictures[1].said == "rigid has no forces"
 
 
+def test_a_viewer_that_goes_while_it_is_drawn_stops_nothing(page, monkeypatch):
+    # asyncio.Event.set of viser's, called from the thread that draws, walks through viewers' tasks: one that goes then is a RuntimeError
+    picture, times = page.pictures[0], []
+    whole = type(picture).draw
+
+    def once_in_a_race(self):
+        times.append(self)
+        if len(times) < 4:
+            raise RuntimeError("deque mutated during iteration")
+        whole(self)
+
+    monkeypatch.setattr(type(picture), "draw", once_in_a_race)
+    asked(page, page.stage.step)
+    until(lambda: len(times) >= 4)
+    assert not page.stage.faults
+    monkeypatch.setattr(type(picture), "draw", lambda self: 1 / 0)
+    asked(page, page.stage.step)
+    until(lambda: any("not drawn: ZeroDivisionError" in fault for fault in page.stage.faults))
+    monkeypatch.setattr(type(picture), "draw", whole)
+    assert asked(page, lambda: page.stage.frame) == 2  # it lives on
+
+
 @pytest.mark.slow
 def test_ctrl_c_ends_the_command_and_frees_its_port(tmp_path):
     twin, port = tmp_path / "twin", unused()
