@@ -459,7 +459,10 @@ NONSENSE = {
     "clusters as a text": WIND | {"evidence": {"clusters": "x"}},
     "seconds below 0": WIND | {"seconds": -1},
     "seconds in words": WIND | {"seconds": "1"},
-    "another schema": WIND | {"schema": 2},
+    "another schema": WIND | {"schema": 3},
+    "fields of a later schema": WIND | {"test": {"p": 0.5}},
+    "a budget that is no list": WIND | {"schema": 2, "budget": {"error": 1}},
+    "sizes in words": WIND | {"schema": 2, "detectable_mm": {"wind": "large"}},
     "a number that no float holds": WIND | {"seconds": 10**400},
     "an escape": WIND | {"error": "\x1b[2J"},
 }

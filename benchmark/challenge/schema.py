@@ -20,6 +20,7 @@ ROUNDED = 0.01  # by which probabilities may miss a sum of 1: 32 names to 4 digi
 LARGEST = 8 << 20  # bytes of an answer: a diagnosis with all its evidence has some 200 kB
 LONGEST = 2000  # characters of a text
 MOST = 10**9  # frames, and particles
+LATER = ("twin", "why", "test", "budget", "detectable_mm")  # fields of schema 2
 
 Read = Callable[[object, str], object]  # a field's value and its name to what is kept; ValueError where it is not what it must be
 
@@ -181,6 +182,7 @@ class Answer:
     evidence       anything; of its clusters the first is scored
     seconds        that the answer took
     error          why there is none, where the verdict is "failed"
+    schema         2 where a continuum was asked: ``twin``, ``why``, ``test``, ``budget`` and ``detectable_mm`` are its fields alone
     """
 
     verdict: str = field(metadata=_by(_one_of(*VERDICTS)))
@@ -196,9 +198,17 @@ class Answer:
     evidence: dict | None = field(default=None, metadata=_by(_evidence))
     seconds: float | None = field(default=None, metadata=_by(_number(0)))
     error: str | None = field(default=None, metadata=_by(_text))
-    schema: int = field(default=1, metadata=_by(_number(1, 1, whole=True)))
+    schema: int = field(default=1, metadata=_by(_number(1, 2, whole=True)))
+    twin: str | None = field(default=None, metadata=_by(_text))
+    why: str | None = field(default=None, metadata=_by(_text))
+    test: dict | None = field(default=None, metadata=_by(_mapping(_any, _any)))
+    budget: list | None = field(default=None, metadata=_by(_list(_mapping(_any, _any))))
+    detectable_mm: dict[str, float | None] | None = field(default=None, metadata=_by(_mapping(_EFFECT, _or_null(_number(0)))))
 
     def __post_init__(self):
+        later = [name for name in LATER if getattr(self, name) is not None]
+        if self.schema == 1 and later:
+            raise ValueError(f"an answer of schema 1 has no field {later[0]!r}; schema 2 has")
         if (self.verdict in NAMED) != (self.effect is not None):
             rule = f"be one of {', '.join(NAMES)}" if self.verdict in NAMED else "be null where the verdict names nothing"
             raise _wrong("effect", rule, self.effect)
@@ -222,7 +232,8 @@ class Answer:
 
     def plain(self) -> dict:
         """The same for JSON."""
-        return asdict(self)
+        found = asdict(self)
+        return found if self.schema > 1 else {name: v for name, v in found.items() if name not in LATER}
 
 
 FAILED = Answer("failed").plain()  # what counts where there is no answer

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from blocks import FRAMES, lifted, recorded
+from twinbench.benchmark.challenge.schema import Answer
 from twinbench.datasets.scenario import Split
 from twinbench.diagnosis.asking import ask
 from twinbench.diagnosis.config import DiagnosisConfig
@@ -154,6 +155,7 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
     found.write(tmp_path)
     result = json.loads((tmp_path / "diagnosis.json").read_text())
     assert result["schema"] == 2 and result["verdict"] == found.result["verdict"]
+    assert Answer.from_dict(result).plain() == result | {"error": None}  # it can be an answer in a challenge
     assert sum(result["probabilities"].values()) == pytest.approx(1.0, abs=1e-3)
     assert {"error", "noise", "representation", "parameters", "named", "unexplained"} <= set(result["budget"][0])
     assert (tmp_path / "report.html").read_text().count('<figure class="budget"') == 1

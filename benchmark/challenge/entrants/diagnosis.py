@@ -7,7 +7,7 @@ __all__ = ["ENTRANT", "Tool"]
 
 
 class Tool(Entrant):
-    """``twinbench diagnose``, as it ships."""
+    """``twinbench diagnose --twin springs``: a net of springs is asked, whatever the body."""
 
     name = "diagnosis"
 

@@ -1,0 +1,24 @@
+"""The diagnosis that asks a continuum where there is one."""
+
+from ....diagnosis.page.document import plain
+from .base import Entrant
+
+__all__ = ["ENTRANT", "Continuum"]
+
+
+class Continuum(Entrant):
+    """``twinbench diagnose``, as it ships: of solids and ropes that are tracked all over a continuum is asked, of the rest springs."""
+
+    name = "continuum"
+
+    def answer(self, given):
+        from ....diagnosis.diagnose import diagnose
+        from ....diagnosis.suitable import has_continuum
+
+        if not has_continuum(given.fit):
+            return plain(given.diagnosis.result)
+        found = diagnose(given.fit, twin="continuum", transfer=[given.transfer], preset=given.preset, device=given.device)
+        return plain(found.result)
+
+
+ENTRANT = Continuum()
