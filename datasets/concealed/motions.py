@@ -46,8 +46,10 @@ def parts(script: Script) -> list[tuple[str, int, int]]:
 def _ends(body, rng):
     """Two grips far apart (rest positions), the way from the second to the first, and how far a grip reaches."""
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
-    if body.kind == "rope":
-        first, second = body.vertices[[1, -2] if body.blocks is None else body.blocks[[0, -1], 0]]
+    if body.resolved:  # in the middle of the blocks at both ends
+        first, second = body.vertices[body.blocks[[0, -1], 0]]
+    elif body.kind == "rope":
+        first, second = body.vertices[[1, -2]]
     elif body.kind == "cloth":
         side = rng.uniform(-0.46, 0.46, 2) * (high - low)[1]
         first, second = np.array([0.47 * (low - high)[0], side[0], 0]), np.array([0.47 * (high - low)[0], side[1], 0])
@@ -56,10 +58,7 @@ def _ends(body, rng):
     if rng.random() < 0.5:
         first, second = second, first
     way = first - second
-    reach = {"cloth": 0.03, "rope": 0.025, "plush": 0.033}[body.kind]
-    if body.kind == "cloth" and body.blocks is not None:  # of the middles of blocks
-        reach = 0.02
-    return first, second, way / np.linalg.norm(way), reach
+    return first, second, way / np.linalg.norm(way), {"cloth": 0.03, "rope": 0.025, "plush": 0.033}[body.kind]
 
 
 def _hand(body, grip, reach, times, moves, turns=None):
