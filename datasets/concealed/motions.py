@@ -113,6 +113,18 @@ def slow(body, rng, end):
     return (_hand(body, grip, reach, times, moves, np.array(turns)),)
 
 
+def sway(body, rng, end):
+    """Up by one end until the rest hangs, a pause, then once to and fro at about the pace of a pendulum, with a turning wrist."""
+    grip, _, way, reach = _ends(body, rng)
+    up, across = _height(body, rng), np.array([-way[1], way[0], 0.0])
+    moves = [np.zeros(3), [0, 0, 0.6 * up] - 0.05 * way, [0, 0, up] - 0.1 * way, [0, 0, up] - 0.11 * way]
+    for k in range(2):
+        moves.append(moves[2] + rng.uniform(0.03, 0.06) * (-1) ** k * (across if rng.random() < 0.5 else way))
+    times = _stretched([0, 0.5, 0.4, 0.25, *rng.uniform(0.45, 0.6, 2)], end)
+    turns = np.concatenate([np.zeros((2, 3)), rng.normal(0, 0.15, (len(moves) - 2, 3))])
+    return (_hand(body, grip, reach, times, moves, turns),)
+
+
 def drag(body, rng, end):
     """Over the table from side to side, now and then half lifted."""
     grip, _, way, reach = _ends(body, rng)
@@ -191,7 +203,7 @@ def _height(body, rng):
 
 
 KINDS = {"lift_shake": lift_shake, "drag": drag, "two_hands": two_hands, "fold": fold, "circle": circle, "twist": twist}
-GENTLE = {"lift": lift, "slow": slow}
+GENTLE = {"lift": lift, "slow": slow, "sway": sway}
 # names of the parts of an interaction, and the key poses at which they begin
 PARTS = {
     "lift_shake": ("lift", "swing"),
@@ -202,6 +214,7 @@ PARTS = {
     "twist": ("lift", "twist"),
     "lift": ("lift", "pause"),
     "slow": ("lift", "slow"),
+    "sway": ("lift", "sway"),
 }
 SPANS = {
     "lift_shake": (0, 3),
@@ -212,4 +225,5 @@ SPANS = {
     "twist": (0, 2),
     "lift": (0, 2),
     "slow": (0, 1),
+    "sway": (0, 3),
 }
