@@ -46,8 +46,10 @@ def parts(script: Script) -> list[tuple[str, int, int]]:
 def _ends(body, rng):
     """Two grips far apart (rest positions), the way from the second to the first, and how far a grip reaches."""
     low, high = body.vertices.min(axis=0), body.vertices.max(axis=0)
-    if body.kind == "rope":
-        first, second = body.vertices[[1, -2] if body.blocks is None else body.blocks[[0, -1], 0]]
+    if body.resolved:  # in the middle of the blocks at both ends
+        first, second = body.vertices[body.blocks[[0, -1], 0]]
+    elif body.kind == "rope":
+        first, second = body.vertices[[1, -2]]
     elif body.kind == "cloth":
         side = rng.uniform(-0.46, 0.46, 2) * (high - low)[1]
         first, second = np.array([0.47 * (low - high)[0], side[0], 0]), np.array([0.47 * (high - low)[0], side[1], 0])
@@ -56,10 +58,7 @@ def _ends(body, rng):
     if rng.random() < 0.5:
         first, second = second, first
     way = first - second
-    reach = {"cloth": 0.03, "rope": 0.025, "plush": 0.033}[body.kind]
-    if body.kind == "cloth" and body.blocks is not None:  # of the middles of blocks
-        reach = 0.02
-    return first, second, way / np.linalg.norm(way), reach
+    return first, second, way / np.linalg.norm(way), {"cloth": 0.03, "rope": 0.025, "plush": 0.033}[body.kind]
 
 
 def _hand(body, grip, reach, times, moves, turns=None):
@@ -112,6 +111,18 @@ def slow(body, rng, end):
         turns.append(rng.normal(0, 0.3, 3))
     times = _stretched([0, 0.9, *rng.uniform(0.4, 0.6, 3)], end)
     return (_hand(body, grip, reach, times, moves, np.array(turns)),)
+
+
+def sway(body, rng, end):
+    """Up by one end until the rest hangs, a pause, then once to and fro at about the pace of a pendulum, with a turning wrist."""
+    grip, _, way, reach = _ends(body, rng)
+    up, across = _height(body, rng), np.array([-way[1], way[0], 0.0])
+    moves = [np.zeros(3), [0, 0, 0.6 * up] - 0.05 * way, [0, 0, up] - 0.1 * way, [0, 0, up] - 0.11 * way]
+    for k in range(2):
+        moves.append(moves[2] + rng.uniform(0.03, 0.06) * (-1) ** k * (across if rng.random() < 0.5 else way))
+    times = _stretched([0, 0.5, 0.4, 0.25, *rng.uniform(0.45, 0.6, 2)], end)
+    turns = np.concatenate([np.zeros((2, 3)), rng.normal(0, 0.15, (len(moves) - 2, 3))])
+    return (_hand(body, grip, reach, times, moves, turns),)
 
 
 def drag(body, rng, end):
@@ -192,7 +203,7 @@ def _height(body, rng):
 
 
 KINDS = {"lift_shake": lift_shake, "drag": drag, "two_hands": two_hands, "fold": fold, "circle": circle, "twist": twist}
-GENTLE = {"lift": lift, "slow": slow}
+GENTLE = {"lift": lift, "slow": slow, "sway": sway}
 # names of the parts of an interaction, and the key poses at which they begin
 PARTS = {
     "lift_shake": ("lift", "swing"),
@@ -203,6 +214,7 @@ PARTS = {
     "twist": ("lift", "twist"),
     "lift": ("lift", "pause"),
     "slow": ("lift", "slow"),
+    "sway": ("lift", "sway"),
 }
 SPANS = {
     "lift_shake": (0, 3),
@@ -213,4 +225,5 @@ SPANS = {
     "twist": (0, 2),
     "lift": (0, 2),
     "slow": (0, 1),
+    "sway": (0, 3),
 }

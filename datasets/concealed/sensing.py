@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scenario import Camera, Plane, Scenario, Split
-from ..synthetic.hand import Hand
+from ..synthetic.hand import Bar, Hand
 from ..synthetic.render import normals, rasterise
 from ..synthetic.sensor import Sensor
 from ..synthetic.simulate import GRAVITY, to_world
@@ -21,6 +21,8 @@ __all__ = ["Faults", "Tracker", "observe", "sensed"]
 CANDIDATES = 6000  # on the skin, and half as many inside, before they are thinned
 TRAIN = 0.7  # share of the frames that may be fitted
 RHO = 0.97  # of the drift of a track from frame to frame
+BAR_RIM, BAR_HEIGHT = 0.003, 0.012  # by which a bar juts out over what it clamps, and half its height [m]
+BAR_POINTS = 0.02  # length of a bar that a point is tracked on, at least: they must be told to be one hand's [m]
 AROUND = 6  # corners of a rope's section
 
 
@@ -114,7 +116,7 @@ def sensed(
     """
     cameras = tracker.cameras()
     skin, faces = _skin(body, to_world(motion.vertices))
-    hands = [_hand(hand) for hand in script.hands]
+    hands = [_hand(body, hand, held) for hand, held in zip(script.hands, motion.gripped, strict=True)]
     attached = Attached.sample(faces, skin[0], CANDIDATES, rng)
     points = attached.at(skin)
     facing = attached.at(np.array([normals(v, faces) for v in skin]))
@@ -185,8 +187,13 @@ def _skin(body, vertices):
     return tube.reshape(len(tube), -1, 3), faces
 
 
-def _hand(hand):
-    return Hand(elbow=(0.1 * np.cos(hand.arm), 0.1 * np.sin(hand.arm), 0.16))
+def _hand(body, hand, held):
+    elbow = (0.1 * np.cos(hand.arm), 0.1 * np.sin(hand.arm), 0.16)
+    if not (body.resolved and body.dim == 2):
+        return Hand(elbow=elbow)
+    corners = body.vertices[held] - hand.grip
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return Bar((*(high - low)[:2] / 2 + BAR_RIM, BAR_HEIGHT), tuple((low + high) / 2), elbow)
 
 
 def _seen(cameras, body, skin, faces, hands, motion, points, facing):
@@ -295,7 +302,8 @@ def _controllers(hands, motion, tracker, faults, rng):
         local = Attached.sample(faces, vertices, 600, rng).at(vertices[None])[0]
         held = motion.vertices[0, motion.gripped[index]] - motion.position[index, 0]
         near = np.argsort(np.linalg.norm(local[:, None] - held, axis=2).min(axis=1))[:300]
-        local = local[near][spread(local[near], tracker.hand)] + np.array(faults.grip_shift)
+        count = max(tracker.hand, round(2 * hand.radii[1] / BAR_POINTS)) if isinstance(hand, Bar) else tracker.hand
+        local = local[near][spread(local[near], count)] + np.array(faults.grip_shift)
         moved = np.einsum("tij,nj->tni", motion.rotation[index], local) + motion.position[index][:, None]
         late = np.maximum(np.arange(len(moved)) - faults.delay, 0)
         noise = 0.5 * tracker.noise * rng.standard_normal(moved.shape)

@@ -1,7 +1,9 @@
 """Ropes and cloths whose mesh is finer than what they bend in, and of which a hand holds the same material whatever the mesh.
 
-A cloth's triangles are equilateral but for the rim: on such a mesh a stiffness at each edge, as MuJoCo has it, is that of a plate in every
-direction. ``finite`` takes the curvature of each triangle from its angles, which is right along the rim as well.
+A cloth is clamped by a bar along a whole edge, as hangers and grippers for garments do: below a hand that pinches a few centimetres it
+bends within a few millimetres, which no mesh of this cost shows. Its triangles are equilateral but for the rim: on such a mesh a stiffness
+at each edge, as MuJoCo has it, is that of a plate in every direction. ``finite`` takes the curvature of each triangle from its angles,
+which is right along the rim as well.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ LENGTH = 0.02  # of rope in a block, about [m]: a hand holds two of them
 TAUT = 1000.0  # E A of a rope over its weight: hung by one end it is longer by a part in 2000
 TALL = np.sqrt(0.75)  # of an equilateral triangle over its edge
 PITCH = 0.0135  # edge of a cloth's triangles, about [m]
-LIMP = (0.035, 0.06)  # bending length of a cloth [m]: (flexural rigidity over weight per area)^(1/3), Peirce 1930
+BAR = 2  # rows of triangles that it clamps: 23 mm
+LIMP = (0.05, 0.08)  # bending length of a cloth [m]: (flexural rigidity over weight per area)^(1/3), Peirce 1930
 STRETCHY = (60.0, 240.0)  # E h of a cloth [N/m]
 
 
@@ -45,8 +48,8 @@ def rope(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> Bo
 
 
 def cloth(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> Body:
-    """A padded cloth of 0.26 to 0.38 m, as fleece, quilting or felt: its bending length is 3.5 to 6 cm, so that it hangs in few folds,
-    which a mesh of a centimetre shows; a limp knit crumples into more than any mesh of this cost does.
+    """A padded cloth of 0.26 to 0.38 m, as felt, quilting or soft foam sheet: its bending length is 5 to 8 cm, so that it hangs in few
+    folds, which a mesh of a centimetre shows; a limp knit crumples into more than any mesh of this cost does.
     """
     size = rng.uniform(0.26, 0.38) * np.array([1, rng.uniform(0.8, 1)])
     vertices, faces, blocks = triangulated(size, PITCH, refine * (2 if fine else 1))
@@ -62,28 +65,15 @@ def cloth(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> B
 
 
 def triangulated(size, pitch: float, times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (V, 3), triangles (F, 3) and blocks (B, n) of a rectangle of about ``size`` (2,) [m], of triangles with edges of about
-    ``pitch`` [m], each divided into ``times`` squared. A block is a hexagon of undivided triangles, its middle first. The rectangle is as
-    wide as asked and as high as a whole number of rows: where triangles are longer along one axis, hinges make no even plate.
+    """Vertices (V, 3), triangles (F, 3) and blocks (2, n) of a rectangle of about ``size`` (2,) [m], of triangles with edges of about
+    ``pitch`` [m], each divided into ``times`` squared. Rows of triangles lie along y; the blocks are the first and last ``BAR`` of them, a
+    vertex in their middle first. The rectangle is as wide (y) as asked and as long (x) as an even number of rows: where triangles are
+    longer along one axis, hinges make no even plate.
     """
-    columns = max(round(size[0] / pitch), 2)
-    edge = size[0] / columns
-    rows = 2 * max(round(size[1] / edge / TALL / 2), 1)
-    even, odd = np.arange(columns + 1.0), np.concatenate([[0.0], np.arange(columns) + 0.5, [columns]])
-    places = [np.stack([x, np.full(len(x), float(row))], 1) for row in range(rows + 1) for x in [odd if row % 2 else even]]
-    first = np.cumsum([0, *map(len, places)])
-    coarse = []
-    for row in range(rows):
-        low, high = (first[row], first[row + 1]) if row % 2 == 0 else (first[row + 1], first[row])
-        k = np.arange(columns)
-        strip = np.concatenate(
-            [
-                np.stack([low + k, low + k + 1, high + k + 1], 1),
-                np.stack([low + np.arange(columns + 1), high + np.arange(columns + 1) + 1, high + np.arange(columns + 1)], 1),
-            ]
-        )
-        coarse.append(strip if row % 2 == 0 else strip[:, ::-1])
-    coarse, places = np.concatenate(coarse), np.concatenate(places)
+    columns = max(round(size[1] / pitch), 2)
+    edge = size[1] / columns
+    rows = 2 * max(round(size[0] / edge / TALL / 2), 1)
+    coarse, places = _rows(columns, rows)
     # points of each triangle by shares of its corners, in whole numbers so that neighbours share them to the last bit
     shares = np.array([(times - i - j, i, j) for i in range(times + 1) for j in range(times + 1 - i)])
     points = np.einsum("pc,fcd->fpd", shares, np.round(2 * places[coarse]).astype(int))
@@ -93,14 +83,27 @@ def triangulated(size, pitch: float, times: int) -> tuple[np.ndarray, np.ndarray
     up = [(number[i, j], number[i + 1, j], number[i, j + 1]) for i in range(times) for j in range(times - i)]
     down = [(number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]) for i in range(times - 1) for j in range(times - 1 - i)]
     faces = index[:, np.array(up + down)].reshape(-1, 3)
-    owners = [np.argwhere(coarse == v) for v in range(len(places))]
-    corner = np.array([number[0, 0], number[times, 0], number[0, times]])
-    middles = [index[own[0, 0], corner[own[0, 1]]] for own in owners]
-    wide = [np.unique(index[own[:, 0]]) for own in owners]
-    most = max(map(len, wide))
-    blocks = np.array([[middle, *w, *[middle] * (most - len(w))] for middle, w in zip(middles, wide, strict=True)])
-    flat = (grid / (2 * times) - np.array([columns, rows]) / 2) * edge * [1, TALL]
-    return np.column_stack([flat, np.zeros(len(flat))]), faces, blocks
+    across, along = (grid / (2 * times) - np.array([columns, rows]) / 2).T
+    vertices = np.stack([-edge * TALL * along, edge * across, np.zeros(len(grid))], 1)
+    blocks = []
+    for end in (-1, 1):
+        held = np.flatnonzero(end * along > rows / 2 - BAR - 1e-9)
+        far = np.hypot(across[held], end * along[held] - (rows - BAR) / 2)
+        blocks.append(held[np.argsort(far, kind="stable")])
+    return vertices, faces, np.array(blocks)
+
+
+def _rows(columns, rows):
+    """Triangles (F, 3), and places (V, 2) of their corners in edges and rows, of which every other is shifted by half an edge."""
+    even, odd = np.arange(columns + 1.0), np.concatenate([[0.0], np.arange(columns) + 0.5, [columns]])
+    places = [np.stack([x, np.full(len(x), float(row))], 1) for row in range(rows + 1) for x in [odd if row % 2 else even]]
+    first = np.cumsum([0, *map(len, places)])
+    triangles, k, more = [], np.arange(columns), np.arange(columns + 1)
+    for row in range(rows):
+        low, high = (first[row], first[row + 1]) if row % 2 == 0 else (first[row + 1], first[row])
+        strip = [np.stack([low + k, low + k + 1, high + k + 1], 1), np.stack([low + more, high + more + 1, high + more], 1)]
+        triangles.append(np.concatenate(strip)[:, :: 1 if row % 2 == 0 else -1])
+    return np.concatenate(triangles), np.concatenate(places)
 
 
 def _finished(body, mass, rng, **more):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Hand"]
+__all__ = ["Bar", "Hand"]
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,15 @@ class Hand:
         tube, more = _revolve(np.array([0.0, 0.0, 1.0, 1.0]), self.wrist * np.array([0.0, 1.0, 1.0, 0.0]))
         arm = np.array(self.centre) + tube @ np.stack([side, other, axis])
         return np.concatenate([fist, arm]), np.concatenate([faces, more + len(fist)])
+
+
+@dataclass(frozen=True)
+class Bar(Hand):
+    """A bar that clamps an edge, for the fist: an elliptic cylinder along y of half axes ``radii``."""
+
+    def fist(self) -> tuple[np.ndarray, np.ndarray]:
+        vertices, faces = _revolve(np.array([-1.0, -1.0, 1.0, 1.0]), np.array([0.0, 1.0, 1.0, 0.0]))
+        return np.roll(vertices, -1, axis=1) * np.array(self.radii) + np.array(self.centre), faces
 
 
 def _revolve(heights, radii, around=14):

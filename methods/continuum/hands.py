@@ -10,12 +10,14 @@ import numpy as np
 from ...datasets.scenario import Observed
 from .held import firmness_of
 
-__all__ = ["Hand", "frames_of", "groups_of", "hands_of", "labels_of", "steadied"]
+__all__ = ["Hand", "bar_of", "frames_of", "groups_of", "hands_of", "labels_of", "steadied"]
 
 HAND = 0.05  # m, between neighbouring controllers of one hand, at all times
 MOMENTS = 32  # frames in which that is looked up
 STEADY = 0.2  # s
 NARROW = 3e-3  # m, RMS: controllers within that of a line do not tell the turn about it
+BAR, SLENDER = 0.1, 4.0  # a hand whose controllers are spread over that length [m], and over that many times their width, is a bar
+BESIDE = 0.01  # m, between the places along it that hold the body
 ROUNDS = 4  # of weights that trust single controllers less, the farther they are from the rigid motion of all
 SOFT = 1.5  # spacings of the body's points, from a hand to where it holds half
 FINGER = 0.02  # m: and at least that, for tracked points lie on the back of fingers, and what is held under them
@@ -99,6 +101,19 @@ def frames_of(points) -> tuple[np.ndarray, np.ndarray, str]:
         weight = 1 / (1 + (stray / scale) ** 2)
         weight /= weight.sum()
     return rotation, centre, told
+
+
+def bar_of(points) -> np.ndarray | None:
+    """(k, 3) m, places along the middle line of a hand whose controllers ``points`` (c, 3) [m] are a bar, as of a hanger; None: they are
+    not. An even spread over a length L has a deviation of L / sqrt(12).
+    """
+    middle = points.mean(0)
+    _, spread, axes = np.linalg.svd(points - middle)
+    length = spread[0] * np.sqrt(12 / len(points))
+    if len(points) < 3 or length < BAR or spread[0] < SLENDER * spread[1]:
+        return None
+    along = (points - middle) @ axes[0]
+    return middle + np.linspace(along.min(), along.max(), int(np.ceil(np.ptp(along) / BESIDE)) + 1)[:, None] * axes[0]
 
 
 def steadied(rotation, fps: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from ...datasets.scenario import Observed, Plane
 from ...physics.points import Points
 from .bodies import Body
-from .hands import FINGER, SOFT, Hand, frames_of, hands_of, steadied
+from .hands import FINGER, SOFT, Hand, bar_of, frames_of, hands_of, steadied
 from .held import falloff
 from .start import Speeds
 from .velocity import Launch, Lead
@@ -127,7 +127,8 @@ class Scene:
 
         One place for a hand that is near the body, in the material beside its controllers, and the radius of the ball that what it was seen
         to hold fills: of what is spread evenly in a ball of n dimensions the mean square distance from its middle is n / (n + 2) of the
-        radius squared. Driven markers are places themselves.
+        radius squared. A bar has places along its middle line, and holds a strip beside it, of one dimension less. Driven markers are
+        places themselves.
         """
         from scipy.spatial import cKDTree
 
@@ -138,12 +139,12 @@ class Scene:
             if (self.grips[hand.controllers] >= 0).all():
                 places.append(at)
                 continue
-            near = falloff(cKDTree(at).query(home)[0], self.radius)
-            places.append(self.body.held_middle(hand.centre[0], near)[None])
+            near, bar = falloff(cKDTree(at).query(home)[0], self.radius), bar_of(at)
+            places.append(self.body.held_middle(hand.centre[0], near)[None] if bar is None else bar)
             if len(hand.points):
                 held, share = self.structure[hand.points], hand.firmness / hand.firmness.sum()
-                spread = share @ ((held - share @ held) ** 2).sum(1)
-                radii[k] = max(0.5 * self.radius, np.sqrt((1 + 2 / self.body.dimensions) * spread))
+                spread = share @ (((held - share @ held) ** 2).sum(1) if bar is None else _apart(held, bar) ** 2)
+                radii[k] = max(0.5 * self.radius, np.sqrt((1 + 2 / max(self.body.dimensions - (bar is not None), 1)) * spread))
         return tuple(places), self.body.grip_share * radii
 
     @cached_property

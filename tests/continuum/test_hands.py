@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed
-from twinbench.methods.continuum.hands import frames_of, groups_of, hands_of
+from twinbench.methods.continuum.hands import bar_of, frames_of, groups_of, hands_of
 from twinbench.methods.continuum.held import falloff
 
 GRASP = 0.01 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0.5]])
@@ -53,6 +53,17 @@ def test_hands_that_start_beside_each_other_and_part_are_two():
     together = np.concatenate([moved(GRASP, turn, shift), moved(GRASP + [0.03, 0, 0], turn, -shift)], axis=1)
     assert [g.tolist() for g in groups_of(together)] == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
     assert [g.tolist() for g in groups_of(together[:1])] == [list(range(10))]
+
+
+def test_controllers_in_a_long_row_are_a_bar():
+    rng = np.random.default_rng(0)
+    way, off = np.array([0.6, 0.8, 0.0]), np.array([0.3, 0.1, 0.2])
+    points = off + np.linspace(-0.15, 0.15, 16)[:, None] * way + 0.01 * np.array([0.8, -0.6, 0]) * np.tile([1, -1], 8)[:, None]
+    places = bar_of(points + rng.normal(0, 5e-4, points.shape))
+    # its middle line: zigzag points 1 cm off it cancel but for how unevenly they lie, 1 cm / 16 at the ends
+    assert np.linalg.norm(places[[0, -1]] - (off + np.array([[-0.15], [0.15]]) * way), axis=1) == pytest.approx([0, 0], abs=3e-3)
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() <= 0.01
+    assert bar_of(0.03 * rng.normal(size=(20, 3))) is None and bar_of(points[:2]) is None and bar_of(0.3 * points) is None
 
 
 def test_a_hand_has_the_frame_that_it_was_moved_by():

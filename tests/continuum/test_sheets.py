@@ -1,5 +1,7 @@
 """Sheets from points: laid out flat whether they lie, hang or are folded, meshed, simulated, fitted and kept."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -154,6 +156,20 @@ def test_a_hand_lifts_the_corner_and_the_rest_follows(truth):
     held, far = scene.hands[0].points, np.linalg.norm(scene.structure, axis=1).argmax()
     assert np.abs(path[-1, held, 2].mean() - path[0, held, 2].mean() - 0.12) < 0.015
     assert path[-1, far, 2] < 0.01 and path[:, :, 2].min() > -3e-3  # the far corner still lies
+
+
+def test_a_bar_holds_a_strip_along_its_edge():
+    first = waved()
+    edge = np.column_stack([np.tile([0.013, -0.003], 8), np.linspace(0, SIZE[1], 16), np.zeros(16)])
+    rise = np.linspace(0, 0.12, FRAMES)[:, None, None] * [0, 0, 1.0]
+    barred = replace(first, controllers=edge + rise, grips=np.full(16, -1))
+    scene = Scene.of(barred, Cloth.drawn(barred, barred.points, 120))
+    at, firm = scene.points.home[scene.grasp.points], scene.firmness(np.zeros((1, 3)), np.ones(1))
+    # as firmly in the corners as in the middle, and nothing that is farther from the bar's line than the strip is wide
+    beside = np.abs(at[:, 0] - 0.005) < 0.008
+    assert firm[beside].min() > 0.8
+    assert np.ptp(at[beside, 1]) > 0.8 * SIZE[1]  # middles of edges reach no corner
+    assert not firm[at[:, 0] > 0.06].any()
 
 
 def test_what_was_simulated_is_fitted(truth):
