@@ -12,6 +12,7 @@ __all__ = ["BackgroundMasks"]
 
 SKIN_CR, SKIN_CB = (135, 180), (85, 135)  # of YCrCb: the usual range of skin (Chai and Ngan 1999), somewhat wider
 BINS = 32  # of each of the two colour axes of Lab
+CLEAR = 1.0  # log of a likelihood ratio by which a pixel is surely of the object, or of a hand
 
 
 @dataclass(frozen=True)
@@ -41,25 +42,26 @@ class BackgroundMasks(Masker):
             )
         empty = None if clip.empty is None else _lab(clip.empty[0])
         standing = [self._standing(clip, t, empty) for t in range(len(clip.colors))]
-        if standing[0].sum() < self.least:
-            said = f"nothing stands on the table in frame 0 ({int(standing[0].sum())} pixels)"
+        first = _pieces(_rim(standing[0], _lab(clip.colors[0]), empty, [standing[0]]), self.least)
+        if first.sum() < self.least:
+            said = f"nothing stands on the table in frame 0 ({int(first.sum())} pixels)"
             within = ((clip.depths[0] > self.near) & (clip.depths[0] < self.far)).mean()
             raise ValueError(
                 f"camera {clip.name}: {said}"
                 + (f"; {100 * within:.0f} % of it are {self.near} to {self.far} m away: is depth_unit right?" if within < 0.2 else "")
             )
-        if (share := standing[0].sum() / max((clip.depths[0] > 0).sum(), 1)) > self.most:
+        if (share := first.sum() / max((clip.depths[0] > 0).sum(), 1)) > self.most:
             rule = f"at most {100 * self.most:.0f} % of what has depth may stand on the table in frame 0"
             raise ValueError(f"camera {clip.name}: {rule}, got {100 * share:.0f} %: is its pose upside down, or the table another?")
-        hand_seeds, object_seeds = self._seeds(clip, standing[0])
+        hand_seeds, object_seeds = self._seeds(clip, first)
         if not object_seeds.any():
             raise ValueError(f"camera {clip.name}: no object in frame 0, all that stands there has the colour of hands; click on it")
         ratio = _ratio(clip.colors[0], object_seeds, hand_seeds)
-        found = [self._parted(standing[t], clip.colors[t], ratio) for t in range(len(standing))]
+        found = [self._parted(standing[t], clip.colors[t], empty, ratio) for t in range(len(standing))]
         return Masks(np.array([f[0] for f in found]), np.array([f[1] for f in found]))
 
     def _standing(self, clip, frame, empty):
-        """(H, W) bool: what is no table."""
+        """(H, W) bool: what is no table, its rim yet undecided."""
         import cv2
 
         depth, lab = clip.depths[frame], _lab(clip.colors[frame])
@@ -74,8 +76,7 @@ class BackgroundMasks(Masker):
             apart = np.linalg.norm(lab - empty, axis=-1)
             scatter = np.median(apart) / 1.54  # of three Gaussian coordinates the distance has this median
             rough |= cv2.medianBlur((apart > self.differs * max(scatter, 0.5)).astype(np.uint8), 3) > 0
-        rough = _pieces(_filled(cv2.morphologyEx(rough.astype(np.uint8), cv2.MORPH_CLOSE, _disc(2)) > 0), self.least)
-        return _pieces(_rim(rough, lab, empty), self.least)
+        return _pieces(_filled(cv2.morphologyEx(rough.astype(np.uint8), cv2.MORPH_CLOSE, _disc(2)) > 0), self.least)
 
     def _seeds(self, clip, standing):
         """Pixels of frame 0 that are surely a hand, and surely the object."""
@@ -96,43 +97,64 @@ class BackgroundMasks(Masker):
             thing &= inside
         return hand & ~thing, thing
 
-    def _parted(self, standing, color, ratio):
+    def _parted(self, rough, color, empty, ratio):
         """What stands there as object and hand."""
-        import cv2
-
+        lab = _lab(color)
         if ratio is None:
-            return standing, np.zeros_like(standing)
-        a, b = _bins(color)
-        score = cv2.GaussianBlur(np.where(standing, ratio[a, b], 0).astype(np.float32), (0, 0), 1.0)
+            thing = _pieces(_rim(rough, lab, empty, [rough]), self.least)
+            return thing, np.zeros_like(thing)
+        score = _score(color, ratio, rough)
+        standing = _pieces(_rim(rough, lab, empty, [rough & (score > CLEAR), rough & (score < -CLEAR)]), self.least)
+        score = _score(color, ratio, standing)
         thing = _pieces(standing & (score > 0), self.least // 2)
-        hand = _pieces(standing & ~thing, self.least // 2)
-        return thing, hand
+        return thing, _pieces(standing & ~thing, self.least // 2)
 
 
-def _rim(rough, lab, empty):
+def _score(color, ratio, where):
+    """(H, W) log of how much likelier colours around a pixel are the object's than a hand's."""
+    import cv2
+
+    a, b = _bins(color)
+    return cv2.GaussianBlur(np.where(where, ratio[a, b], 0).astype(np.float32), (0, 0), 1.0)
+
+
+def _rim(rough, lab, empty, parts):
     """``rough`` with its rim decided by colour: a pixel's mixture a F + (1 - a) B of foreground and background belongs to F where a > 1/2.
 
-    F and B are means of what is surely one or the other nearby; B is the empty table's own where that was recorded.
+    B is the mean of what is surely background nearby, or the empty table's own where that was recorded. F is the mean of one of ``parts``
+    (H, W) bool nearby, object or hand: of the one whose mixture with B is nearest to the pixel's colour, so that little of an object
+    beside a hand is not taken for skin.
     """
     import cv2
 
-    inner = cv2.erode(rough.astype(np.uint8), _disc(2))
-    outer = 1 - cv2.dilate(rough.astype(np.uint8), _disc(2))
-    band = (inner == 0) & (outer == 0)
-    front, behind = _nearby(lab, inner), empty if empty is not None else _nearby(lab, outer)
-    way = front - behind
-    share = ((lab - behind) * way).sum(-1) / np.maximum((way**2).sum(-1), 1.0)
-    return (inner > 0) | (band & (share > 0.5) & np.isfinite(share))
+    inner = cv2.erode(rough.astype(np.uint8), _disc(2)) > 0
+    outer = cv2.dilate(rough.astype(np.uint8), _disc(2)) == 0
+    behind = empty if empty is not None else _nearby(lab, outer)
+    best, share = np.full(rough.shape, np.inf), np.zeros(rough.shape)
+    for part in parts:
+        if not part.any():
+            continue
+        core = cv2.erode(part.astype(np.uint8), _disc(1 if len(parts) > 1 else 2)) > 0
+        front = _nearby(lab, core, usual=np.median(lab[part], axis=0))
+        way = front - behind
+        own = ((lab - behind) * way).sum(-1) / np.maximum((way**2).sum(-1), 1.0)
+        miss = np.linalg.norm(lab - behind - np.clip(own, 0, 1)[..., None] * way, axis=-1)
+        taken = (cv2.dilate(part.astype(np.uint8), _disc(3)) > 0) & (miss < best)
+        best, share = np.where(taken, miss, best), np.where(taken, own, share)
+    return inner | (~inner & ~outer & (share > 0.5))
 
 
-def _nearby(lab, where):
-    """Mean of ``lab`` over ``where``, weighted by nearness."""
+def _nearby(lab, where, usual=None):
+    """Mean of ``lab`` over ``where``, weighted by nearness; where there is none nearby, the ``usual`` (3,), or NaN."""
     import cv2
 
+    least = 1e-4 if usual is None else 1e-3
     weight = cv2.GaussianBlur(where.astype(np.float32), (0, 0), 2.5)
-    mean = cv2.GaussianBlur(lab * where[..., None].astype(np.float32), (0, 0), 2.5)
+    total = cv2.GaussianBlur(lab * where[..., None].astype(np.float32), (0, 0), 2.5)
+    if usual is not None:
+        return (total + least * usual) / (weight + least)[..., None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(weight[..., None] > 1e-4, mean / weight[..., None], np.nan)
+        return np.where(weight[..., None] > least, total / weight[..., None], np.nan)
 
 
 def _ratio(color, thing, hand):
