@@ -113,10 +113,15 @@ def _about_cameras(cameras, timing):
             yield f"camera {one.name} measures depth on {100 * one.coverage:.0f} % of the object only: few points are lifted from it"
         if one.reprojection > 5:
             yield f"camera {one.name}: points miss its tracks by {one.reprojection:.1f} pixels: is it calibrated, and its clock right?"
+    if lost := cameras[0].dropped:
+        yield f"camera {cameras[0].name} dropped frames before its frames {frames_said(lost)}: the case goes on there as if no time had passed"
     if len(cameras) > 1 and any(one.offset is None for one in cameras):
         yield "nobody wrote arrivals down: all stamps are taken to be of one clock"
     if timing.spread > 0.25 / timing.fps:
-        yield f"cameras take a frame {1000 * timing.spread:.0f} ms apart: images of other cameras than the first are that much off"
+        late = 1000 * np.median(timing.lags, axis=1)
+        each = ", ".join(f"{one.name} by {ms:+.0f} ms" for one, ms in zip(cameras[1:], late[1:], strict=True))
+        said = f"cameras take a frame {1000 * timing.spread:.0f} ms apart (later than {cameras[0].name}: {each})"
+        yield f"{said}: images of other cameras than the first are that much off"
 
 
 def _about_setup(recording, options):
