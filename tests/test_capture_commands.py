@@ -105,7 +105,7 @@ WARNED = {  # name: (the recording, what is said)
     ),
     "frames that the first camera lacks": (
         lambda: RawRecording("push", (replace(filmed(7).cameras[0], stamps=np.delete(TIMES, 4)),)),
-        "camera top dropped frames before its frames 4: the case goes on there as if no time had passed",
+        "camera top dropped frames before its frames 4: the case goes on as if no time had passed",
     ),
     "cameras that are not synchronised": (
         lambda: pair((np.arange(FRAMES) + 0.45) / 30),

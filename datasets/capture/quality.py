@@ -114,7 +114,7 @@ def _about_cameras(cameras, timing):
         if one.reprojection > 5:
             yield f"camera {one.name}: points miss its tracks by {one.reprojection:.1f} pixels: is it calibrated, and its clock right?"
     if lost := cameras[0].dropped:
-        yield f"camera {cameras[0].name} dropped frames before its frames {frames_said(lost)}: the case goes on there as if no time had passed"
+        yield f"camera {cameras[0].name} dropped frames before its frames {frames_said(lost)}: the case goes on as if no time had passed"
     if len(cameras) > 1 and any(one.offset is None for one in cameras):
         yield "nobody wrote arrivals down: all stamps are taken to be of one clock"
     if timing.spread > 0.25 / timing.fps:

@@ -12,6 +12,7 @@ __all__ = ["BackgroundMasks"]
 
 SKIN_CR, SKIN_CB = (135, 180), (85, 135)  # of YCrCb: the usual range of skin (Chai and Ngan 1999), somewhat wider
 BINS = 32  # of each of the two colour axes of Lab
+MARGIN = 16  # pixels: twice what the rim's blurs reach, and what they are asked at beside it
 CLEAR = 1.0  # log of a likelihood ratio by which a pixel is surely of the object, or of a hand
 
 
@@ -99,22 +100,32 @@ class BackgroundMasks(Masker):
 
     def _parted(self, rough, color, empty, ratio):
         """What stands there as object and hand."""
-        lab = _lab(color)
+        found = np.zeros((2, *rough.shape), bool)
+        if not rough.any():
+            return tuple(found)
+        window = _around(rough)
+        rough, lab, empty = rough[window], _lab(color[window]), None if empty is None else empty[window]
         if ratio is None:
-            thing = _pieces(_rim(rough, lab, empty, [rough]), self.least)
-            return thing, np.zeros_like(thing)
-        score = _score(color, ratio, rough)
+            found[0][window] = _pieces(_rim(rough, lab, empty, [rough]), self.least)
+            return tuple(found)
+        score = _score(lab, ratio, rough)
         standing = _pieces(_rim(rough, lab, empty, [rough & (score > CLEAR), rough & (score < -CLEAR)]), self.least)
-        score = _score(color, ratio, standing)
-        thing = _pieces(standing & (score > 0), self.least // 2)
-        return thing, _pieces(standing & ~thing, self.least // 2)
+        found[0][window] = thing = _pieces(standing & (_score(lab, ratio, standing) > 0), self.least // 2)
+        found[1][window] = _pieces(standing & ~thing, self.least // 2)
+        return tuple(found)
 
 
-def _score(color, ratio, where):
+def _around(mask):
+    """Rows and columns of ``mask``, with all that blurs of its rim can reach."""
+    rows, columns = (np.flatnonzero(mask.any(axis)) for axis in (1, 0))
+    return tuple(slice(max(at[0] - MARGIN, 0), at[-1] + MARGIN + 1) for at in (rows, columns))
+
+
+def _score(lab, ratio, where):
     """(H, W) log of how much likelier colours around a pixel are the object's than a hand's."""
     import cv2
 
-    a, b = _bins(color)
+    a, b = _bins(lab)
     return cv2.GaussianBlur(np.where(where, ratio[a, b], 0).astype(np.float32), (0, 0), 1.0)
 
 
@@ -163,7 +174,7 @@ def _ratio(color, thing, hand):
 
     if hand.sum() < 10:
         return None
-    a, b = _bins(color)
+    a, b = _bins(_lab(color))
     counts = []
     for part in (thing, hand):
         histogram = np.zeros((BINS, BINS), np.float32)
@@ -172,8 +183,7 @@ def _ratio(color, thing, hand):
     return np.log(counts[0] / counts[1])
 
 
-def _bins(color):
-    lab = _lab(color)
+def _bins(lab):
     return tuple(np.clip(((lab[..., k] + 64) * BINS / 128).astype(int), 0, BINS - 1) for k in (1, 2))
 
 
