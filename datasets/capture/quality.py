@@ -8,6 +8,10 @@ import numpy as np
 
 __all__ = ["CameraQuality", "Quality", "measure_quality"]
 
+PLAIN = 4.0  # grey levels, of 255: with less contrast flow finds little to follow; noise and shading have 1 to 2
+WINDOW = 7  # pixels across which contrast is measured
+NEAR = 0.01  # m: a point of the surface is seen where depth is measured no farther from it
+
 
 @dataclass(frozen=True)
 class CameraQuality:
@@ -17,6 +21,7 @@ class CameraQuality:
     alive         share of its tracks on the object that are visible in the last frame
     reprojection  median distance of the body's points, projected, from this camera's own tracks [pixel]
     depth_noise   scatter of depth between neighbouring pixels [m]
+    contrast      median over the object of grey levels' standard deviation around a pixel in frame 0, without the noise of single pixels
     empty         frames in which it sees nothing of the object
     cut           frames in which the object touches the border of the picture
     offset, drift, dropped, missing   clock: [s] and parts per million or None, frames dropped, frames without a partner
@@ -27,6 +32,7 @@ class CameraQuality:
     alive: float
     reprojection: float
     depth_noise: float
+    contrast: float
     empty: tuple[int, ...]
     cut: tuple[int, ...]
     offset: float | None
@@ -37,7 +43,8 @@ class CameraQuality:
 
 @dataclass(frozen=True)
 class Quality:
-    """Of the case: ``lengths`` (N,) frames for which each point is visible, ``hand`` median residual of the hands' rigid motion [m]."""
+    """Of the case: ``lengths`` (N,) frames for which each point is visible, ``hand`` median residual of the hands' rigid motion [m],
+    ``unseen`` share of the surface in frame 0 that no camera measured."""
 
     cameras: tuple[CameraQuality, ...]
     points: int
@@ -45,6 +52,7 @@ class Quality:
     lengths: np.ndarray
     hand: float
     warnings: tuple[str, ...]
+    unseen: float = float("nan")
 
 
 def measure_quality(recording, timing, sights, scenario, residual, options) -> Quality:
@@ -53,12 +61,13 @@ def measure_quality(recording, timing, sights, scenario, residual, options) -> Q
     alive = float(scenario.visible[-1].mean())
     hand = float(np.nanmedian(residual)) if np.isfinite(residual).any() else float("nan")
     guessed = np.flatnonzero(~np.isfinite(residual))
-    warnings = [*_about_cameras(cameras, timing), *_about_setup(recording, options)]
+    unseen = _unseen(scenario, sights)
+    warnings = [*_about_cameras(cameras, timing), *_about_setup(recording, options, unseen)]
     if alive < 0.5:
         warnings.append(f"only {100 * alive:.0f} % of the points are still seen in the last frame: later motion is weakly observed")
     if len(guessed):
         warnings.append(f"hands have too few tracks in frames {frames_said(guessed)}: their motion there is by their cloud or their speed")
-    return Quality(cameras, scenario.points.shape[1], alive, scenario.visible.sum(0), hand, tuple(warnings))
+    return Quality(cameras, scenario.points.shape[1], alive, scenario.visible.sum(0), hand, tuple(warnings), unseen)
 
 
 def _camera(number, raw, timing, sight, scenario):
@@ -74,6 +83,7 @@ def _camera(number, raw, timing, sight, scenario):
         float(sight.visible[-1, thing].mean()) if thing.any() else 0.0,
         _reprojection(number, timing, sight, scenario),
         float(sight.noise),
+        _contrast(raw.frames.color(int(timing.frames[number][0])), sight.object[0]),
         tuple(np.flatnonzero(counts == 0).tolist()),
         tuple(np.flatnonzero(border).tolist()),
         clock.offset,
@@ -101,6 +111,31 @@ def _reprojection(number, timing, sight, scenario):
     return float(np.median(missed)) if len(missed) else float("nan")
 
 
+def _contrast(color, mask):
+    import cv2
+
+    grey = cv2.GaussianBlur(cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
+    if not (inner if inner.any() else mask).any():
+        return float("nan")
+    mean, square = (cv2.blur(values, (WINDOW, WINDOW)) for values in (grey, grey**2))
+    return float(np.median(np.sqrt(np.maximum(square - mean**2, 0))[inner if inner.any() else mask]))
+
+
+def _unseen(scenario, sights):
+    """Share of the points on the surface in frame 0, tracked and not, where no camera measured the object; NaN without a shape."""
+    if not len(scenario.surface):
+        return float("nan")
+    seen = np.zeros(len(scenario.surface), bool)
+    for camera, sight in zip(scenario.cameras, sights, strict=True):
+        pixels, z = camera.project(scenario.surface)
+        column, row = np.round(np.nan_to_num(pixels, nan=-1, posinf=-1, neginf=-1)).astype(int).T
+        inside = (z > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        at = (np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1))
+        seen |= inside & sight.object[0][at] & (np.abs(sight.depth[at] - z) < NEAR)
+    return float((~seen).sum() / (len(seen) + scenario.points.shape[1]))
+
+
 def _about_cameras(cameras, timing):
     for one in cameras:
         if one.empty:
@@ -111,6 +146,9 @@ def _about_cameras(cameras, timing):
             yield f"camera {one.name} has no picture of its own for frames {frames_said(one.missing)}: the nearest stands in"
         if one.coverage < 0.5:
             yield f"camera {one.name} measures depth on {100 * one.coverage:.0f} % of the object only: few points are lifted from it"
+        if one.contrast < PLAIN:
+            little = f"little texture (contrast {one.contrast:.1f} of 255)"
+            yield f"camera {one.name}: the object has {little}: tracks may slide along its surface"
         if one.reprojection > 5:
             yield f"camera {one.name}: points miss its tracks by {one.reprojection:.1f} pixels: is it calibrated, and its clock right?"
     if lost := cameras[0].dropped:
@@ -124,11 +162,13 @@ def _about_cameras(cameras, timing):
         yield f"{said}: images of other cameras than the first are that much off"
 
 
-def _about_setup(recording, options):
+def _about_setup(recording, options, unseen):
+    guessed = f" ({100 * unseen:.0f} % of the surface was seen by no camera, and is guessed)" if np.isfinite(unseen) else ""
     if len(recording.cameras) == 1:
-        yield "one camera: the far side was never seen, no silhouette or depth from other sides; chamfer speaks of the near side alone"
+        near = "no silhouette or depth from other sides; chamfer speaks of the near side alone"
+        yield f"one camera: the far side was never seen{guessed}, {near}"
     elif len(recording.cameras) == 2:
-        yield "two cameras: what both do not see was never measured"
+        yield f"two cameras: what both do not see was never measured{guessed}"
     if all(raw.frames.background() is None for raw in recording.cameras):
         yield "no picture of the empty scene: masks are by depth alone where the object lies flat"
     if options.shape == "none" and not options.prior:
