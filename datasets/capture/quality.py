@@ -8,8 +8,8 @@ import numpy as np
 
 __all__ = ["CameraQuality", "Quality", "measure_quality"]
 
-PLAIN = 4.0  # grey levels, of 255: with less contrast flow finds little to follow; noise and shading have 1 to 2
-WINDOW = 7  # pixels across which contrast is measured
+PLAIN = 1.0  # grey levels a pixel, of 255: with less texture flow finds nothing to follow; a plain rope has 0.3, a speckled one 4
+WINDOW = 7  # pixels across which texture is measured
 NEAR = 0.01  # m: a point of the surface is seen where depth is measured no farther from it
 
 
@@ -21,7 +21,7 @@ class CameraQuality:
     alive         share of its tracks on the object that are visible in the last frame
     reprojection  median distance of the body's points, projected, from this camera's own tracks [pixel]
     depth_noise   scatter of depth between neighbouring pixels [m]
-    contrast      median over the object of grey levels' standard deviation around a pixel in frame 0, without the noise of single pixels
+    texture       median over the object in frame 0 of the gradient of grey levels in the direction where it is least [1/pixel]
     empty         frames in which it sees nothing of the object
     cut           frames in which the object touches the border of the picture
     offset, drift, dropped, missing   clock: [s] and parts per million or None, frames dropped, frames without a partner
@@ -32,7 +32,7 @@ class CameraQuality:
     alive: float
     reprojection: float
     depth_noise: float
-    contrast: float
+    texture: float
     empty: tuple[int, ...]
     cut: tuple[int, ...]
     offset: float | None
@@ -83,7 +83,7 @@ def _camera(number, raw, timing, sight, scenario):
         float(sight.visible[-1, thing].mean()) if thing.any() else 0.0,
         _reprojection(number, timing, sight, scenario),
         float(sight.noise),
-        _contrast(raw.frames.color(int(timing.frames[number][0])), sight.object[0]),
+        _texture(raw.frames.color(int(timing.frames[number][0])), sight.object[0]),
         tuple(np.flatnonzero(counts == 0).tolist()),
         tuple(np.flatnonzero(border).tolist()),
         clock.offset,
@@ -111,15 +111,28 @@ def _reprojection(number, timing, sight, scenario):
     return float(np.median(missed)) if len(missed) else float("nan")
 
 
-def _contrast(color, mask):
+def _texture(color, mask):
+    """Root of the structure tensor's lesser eigenvalue (Shi and Tomasi 1994): an outline or a shade is followed across itself alone."""
     import cv2
 
-    grey = cv2.GaussianBlur(cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
-    inner = cv2.erode(mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
-    if not (inner if inner.any() else mask).any():
+    if not mask.any():
         return float("nan")
-    mean, square = (cv2.blur(values, (WINDOW, WINDOW)) for values in (grey, grey**2))
-    return float(np.median(np.sqrt(np.maximum(square - mean**2, 0))[inner if inner.any() else mask]))
+    inner, core = _within(mask), _within(_within(mask))
+    grey = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY).astype(np.float32)
+    grey = cv2.GaussianBlur(grey * inner, (0, 0), 1.0) / np.maximum(cv2.GaussianBlur(inner, (0, 0), 1.0), 1e-3)
+    x, y = (cv2.Sobel(grey, cv2.CV_32F, *way) / 8 for way in ((1, 0), (0, 1)))
+    share = np.maximum(cv2.blur(core, (WINDOW, WINDOW)), 1e-3)
+    xx, xy, yy = (cv2.blur(product * core, (WINDOW, WINDOW)) / share for product in (x * x, x * y, y * y))
+    least = (xx + yy) / 2 - np.sqrt(((xx - yy) / 2) ** 2 + xy**2)
+    return float(np.median(np.sqrt(np.maximum(least, 0))[core > 0]))
+
+
+def _within(mask):
+    """``mask`` as numbers without its rim, or whole where it is nothing but rim."""
+    import cv2
+
+    inner = cv2.erode(mask.astype(np.float32), np.ones((3, 3), np.uint8))
+    return inner if inner.any() else mask.astype(np.float32)
 
 
 def _unseen(scenario, sights):
@@ -146,8 +159,8 @@ def _about_cameras(cameras, timing):
             yield f"camera {one.name} has no picture of its own for frames {frames_said(one.missing)}: the nearest stands in"
         if one.coverage < 0.5:
             yield f"camera {one.name} measures depth on {100 * one.coverage:.0f} % of the object only: few points are lifted from it"
-        if one.contrast < PLAIN:
-            little = f"little texture (contrast {one.contrast:.1f} of 255)"
+        if one.texture < PLAIN:
+            little = f"little texture ({one.texture:.1f} grey levels a pixel, {PLAIN:g} is little)"
             yield f"camera {one.name}: the object has {little}: tracks may slide along its surface"
         if one.reprojection > 5:
             yield f"camera {one.name}: points miss its tracks by {one.reprojection:.1f} pixels: is it calibrated, and its clock right?"

@@ -60,7 +60,7 @@ def _table(quality, timing):
         "tracks alive",
         "reprojection [pixel]",
         "depth noise [mm]",
-        "contrast",
+        "texture [levels/pixel]",
         "clock [ms]",
         "drift [ppm]",
         "dropped",
@@ -76,7 +76,7 @@ def _table(quality, timing):
             f"{100 * one.alive:.0f} %",
             f"{one.reprojection:.2f}",
             f"{1000 * one.depth_noise:.2f}",
-            f"{one.contrast:.1f}",
+            f"{one.texture:.1f}",
         ]
         values += [offset, drift, str(len(one.dropped)), f"{1000 * clock.jitter:.2f}"]
         rows.append("<tr>" + "".join(f"<td>{escape(v)}</td>" for v in values) + "</tr>")
