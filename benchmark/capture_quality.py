@@ -18,7 +18,7 @@ import numpy as np
 
 from .capture_truth import Score, score
 
-__all__ = ["PLAN", "Case", "board_row", "main", "markdown", "measure"]
+__all__ = ["PLAN", "Case", "board_row", "main", "markdown", "measure", "write_mesh"]
 
 HEADS = "mask IoU|hand IoU|track [pixel]|point [mm]|last frame [mm]|alive|hand [mm]|shape seen [mm]|completed [mm]|clock [ms]"  # of a Score
 SEED = 2026  # of all figures; named before they were measured
@@ -26,7 +26,7 @@ SEED = 2026  # of all figures; named before they were measured
 
 @dataclass(frozen=True)
 class Case:
-    """One studio recording: ``cameras`` are how many of them are used, ``width`` in pixels."""
+    """One studio recording: how many ``cameras`` are used, their ``width`` in pixels; ``prior``: whether a mesh of the body is given."""
 
     body: str
     motion: str
@@ -34,10 +34,12 @@ class Case:
     cameras: int = 3
     width: int = 424
     frames: int = 48
+    prior: bool = False
 
     @property
     def key(self) -> str:
-        return "-".join(map(str, (self.body, self.motion, self.pattern, self.cameras, self.width, self.frames)))
+        named = (self.body, self.motion, self.pattern, self.cameras, self.width, self.frames)
+        return "-".join(map(str, named)) + "-prior" * self.prior
 
 
 PLAN = (
@@ -45,6 +47,7 @@ PLAN = (
     *(Case(body, "lift", cameras=count) for count in (2, 1) for body in ("plush", "rope")),
     *(Case(body, "lift", "plain") for body in ("plush", "rope")),
     Case("plush", "lift", "bands"),
+    *(Case(body, "lift", prior=True) for body in ("plush", "rope")),
     Case("plush", "lift", width=848, frames=100),
 )
 
@@ -60,8 +63,9 @@ def measure(case: Case, seed: int = SEED) -> dict:
     names = tuple(camera.name for camera in take.recording.cameras[: case.cameras])
     row = {"key": case.key, "seed": seed, **asdict(case), "film_s": round(filmed - started, 1)}
     with tempfile.TemporaryDirectory() as folder:
+        options = BuildOptions(cameras=names, prior=str(write_mesh(case.body, Path(folder) / "body.ply")) if case.prior else "")
         try:
-            built = build(take.recording, Path(folder) / "case", BuildOptions(cameras=names))
+            built = build(take.recording, Path(folder) / "case", options)
         except ValueError as error:
             return row | {"error": str(error)}
         row["build_s"], row["build_cpu_s"] = round(time.monotonic() - filmed, 1), round(time.process_time() - worked, 1)
@@ -70,6 +74,19 @@ def measure(case: Case, seed: int = SEED) -> dict:
         row["peak_gb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)  # with the studio's own pictures and truth
         row["warnings"] = list(built.quality.warnings)
     return row
+
+
+def write_mesh(body: str, file: Path) -> Path:
+    """The skin of a body of the studio as who designed it would write it: at rest, axes of its own, millimetres."""
+    import open3d as o3d
+
+    from ..datasets.synthetic.studio import BODIES
+
+    thing = BODIES[body]
+    used, faces = np.unique(thing.faces, return_inverse=True)
+    vertices = o3d.utility.Vector3dVector(1000 * thing.vertices[used])
+    o3d.io.write_triangle_mesh(str(file), o3d.geometry.TriangleMesh(vertices, o3d.utility.Vector3iVector(faces.reshape(-1, 3))))
+    return file
 
 
 def board_row(width: int, seed: int = SEED) -> dict:
@@ -99,6 +116,7 @@ def markdown(rows: list[dict]) -> str:
         if "body" not in row:
             continue
         first = [str(row[k]) for k in ("body", "motion", "pattern", "cameras", "width", "frames")]
+        first[0] += " (mesh)" * row.get("prior", False)
         if "error" in row:
             lines.append("| " + " | ".join(first) + f" | refused: {row['error']} |")
             continue

@@ -11,12 +11,14 @@ import argparse
 import json
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from ..datasets.capture.build import BuildOptions
 from ..datasets.scenario import Scenario
 from ..datasets.synthetic.tracking import Attached
 from .capture_quality import SEED, Case
@@ -53,22 +55,29 @@ def true_scenario(take, built) -> Scenario:
     return replace(scenario, name=f"{scenario.name}_truth", **known)
 
 
-def compare_twins(case: Case, methods: Sequence[str], seed: int = SEED, parts: bool = False) -> Iterator[dict]:
+def compare_twins(
+    case: Case, methods: Sequence[str], seed: int = SEED, parts: bool = False, spacing: float = BuildOptions.spacing
+) -> Iterator[dict]:
     """Mean distances [mm] of both twins of each method from the truth over the test frames, and their ratio.
 
-    ``parts``: of twins fitted to those of ``PARTS`` too.
+    ``parts``: of twins fitted to those of ``PARTS`` too. ``spacing`` of their particles [m]: fits to fewer are faster.
     """
-    from ..datasets.capture.build import BuildOptions, build
+    from ..datasets.capture.build import build
     from ..datasets.synthetic.studio import film_studio
 
     take = film_studio(case.body, case.motion, seed=seed, frames=case.frames, pattern=case.pattern, width=case.width)
     names = tuple(camera.name for camera in take.recording.cameras[: case.cameras])
     with tempfile.TemporaryDirectory() as folder:
-        built = build(take.recording, Path(folder) / f"{case.body}_{case.motion}", BuildOptions(cameras=names))
+        built = build(take.recording, Path(folder) / f"{case.body}_{case.motion}", BuildOptions(cameras=names, spacing=spacing))
     true = true_scenario(take, built)
     for method in methods:
         errors = twin_errors(built.scenario, true, method, PARTS if parts else {})
-        yield {"key": f"{method}-{case.key}", "seed": seed, **errors, "ratio": errors["built_mm"] / errors["truth_mm"]}
+        named = {"key": _key(method, case, spacing), "seed": seed, "spacing_mm": 1000 * spacing, "points": built.scenario.counts}
+        yield named | errors | {"ratio": errors["built_mm"] / errors["truth_mm"]}
+
+
+def _key(method, case, spacing):
+    return f"{method}-{case.key}" + (f"-{1000 * spacing:g}mm" if spacing != BuildOptions.spacing else "")
 
 
 def twin_errors(built: Scenario, true: Scenario, method: str, parts: dict[str, tuple[str, ...]] | None = None) -> dict:
@@ -79,7 +88,9 @@ def twin_errors(built: Scenario, true: Scenario, method: str, parts: dict[str, t
     errors = {}
     mixed = {name: replace(true, **{field: getattr(built, field) for field in fields}) for name, fields in (parts or {}).items()}
     for name, scenario in ({"built": built, "truth": true} | mixed).items():
+        started = time.process_time()
         twin = get_method(method).fit([scenario.observed()], budget=Budget("quick"), seed=0)
+        errors[f"{name}_cpu_s"] = round(time.process_time() - started, 1)
         positions = twin.rollout(scenario.controllers).positions[:, : true.points.shape[1]]
         off = np.linalg.norm(positions - true.points, axis=2)[scenario.split.train_end :]
         errors[f"{name}_mm"] = 1000 * float(off.mean())
@@ -93,15 +104,18 @@ def main(arguments=None) -> None:
     parser.add_argument("--bodies", nargs="*", default=[], help="rope, plush, package, cloth; default: all")
     parser.add_argument("--seed", type=int, default=SEED, help="the figures' own; to mend something, take another")
     parser.add_argument("--parts", action="store_true", help="also what each part that was built costs")
+    parser.add_argument("--motions", nargs="*", default=[], help="lift, drag; default: both")
+    parser.add_argument("--spacing", type=float, default=BuildOptions.spacing, help="of the twins' particles [m]; default: as published")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
     file = options.out / "twins.jsonl"
     done = {json.loads(line)["key"] for line in file.read_text().splitlines()} if file.exists() else set()
     for case in CASES:
-        left = [method for method in options.methods if f"{method}-{case.key}" not in done]
-        if not left or (options.bodies and case.body not in options.bodies):
+        left = [method for method in options.methods if _key(method, case, options.spacing) not in done]
+        wanted = case.body in (options.bodies or [case.body]) and case.motion in (options.motions or [case.motion])
+        if not left or not wanted:
             continue
-        for row in compare_twins(case, left, options.seed, options.parts):
+        for row in compare_twins(case, left, options.seed, options.parts, options.spacing):
             with file.open("a") as stream:
                 stream.write(json.dumps(row) + "\n")
             print(row, file=sys.stderr, flush=True)

@@ -116,6 +116,28 @@ def test_an_object_at_the_border_of_the_picture_is_a_warning_with_its_frames(tmp
     assert "camera top: the object touches the border of the picture in frames 4-7" in said
 
 
+@pytest.mark.parametrize("striped", [(60, 130, 230), (30, 60, 120)])
+def test_an_object_without_texture_is_a_warning(tmp_path, striped):
+    """The box in one colour, and in stripes, which say nothing of motion along them: in that direction the gradient is 0."""
+    raw = filmed()
+    said = said_of(raw, tmp_path / "textured")
+    assert "little texture" not in said
+    held = raw.cameras[0].frames
+    for t, color in enumerate(held.colors):
+        blue = (held.depths[t] < 580) & (color[..., 2] > color[..., 0])
+        color[blue] = (60, 130, 230)
+        color[blue & (np.arange(W) // 3 % 2 == 0)] = striped
+    assert "camera top: the object has little texture (0.0 grey levels a pixel" in said_of(raw, tmp_path / "plain")
+
+
+def test_what_one_camera_does_not_see_is_said(tmp_path):
+    """From straight above a box 75 mm x 45 mm, 40 mm high, shows its top: of the surface, sides and bottom included, less than a third."""
+    quality = build(filmed(), tmp_path / "case").quality
+    assert 0.5 < quality.unseen < 0.9
+    said = f"one camera: the far side was never seen ({100 * quality.unseen:.0f} % of the surface was seen by no camera, and is guessed)"
+    assert any(one.startswith(said) for one in quality.warnings)
+
+
 def video(folder, frames):
     """The scene with its colour as one video."""
     write_layout(folder, filmed())

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pushed_box import filmed
 from twinbench.benchmark import capture_quality
-from twinbench.benchmark.capture_quality import Case, board_row, markdown, measure
+from twinbench.benchmark.capture_quality import Case, board_row, markdown, measure, write_mesh
+from twinbench.benchmark.capture_speed import speed_row, to_and_fro
 from twinbench.benchmark.capture_truth import material_points, score
 from twinbench.benchmark.capture_twins import true_scenario, twin_errors
 from twinbench.datasets.capture.build import build
@@ -75,6 +77,29 @@ def test_rows_are_kept_and_refusals_are_told(tmp_path, monkeypatch, capsys):
     capture_quality.main([str(tmp_path), "--table"])
     assert "refused: camera a: nothing" in capsys.readouterr().out
     assert markdown([json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]).count("\n") == 2
+
+
+def test_frames_go_to_and_fro():
+    """0 1 2 3 2 1 0 1 2 3: no step is larger than one frame's."""
+    raw, own = to_and_fro(filmed(4), 10).cameras[0], filmed(4).cameras[0].frames
+    assert all(np.array_equal(raw.frames.color(t), own.color(k)) for t, k in enumerate([0, 1, 2, 3, 2, 1, 0, 1, 2, 3]))
+    assert np.array_equal(raw.frames.depth(9), own.depth(3)) and np.allclose(np.diff(raw.stamps), 1 / 30)
+
+
+def test_a_mesh_is_written_as_who_designed_the_body_would(tmp_path):
+    """Millimetres, z up, closed: its volume is the body's mass over its density."""
+    from twinbench.datasets.capture.prior import read_mesh
+    from twinbench.datasets.synthetic.studio import BODIES
+
+    mesh, body = read_mesh(write_mesh("package", tmp_path / "package.ply")), BODIES["package"]
+    corners = mesh.vertices[mesh.faces]
+    assert np.isclose(np.linalg.det(corners).sum() / 6, 1e9 * body.mass / body.density, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_build_is_timed_in_a_process_of_its_own():
+    row = speed_row(seed=6, filmed=3, frames=4, width=424)
+    assert row["build_cpu_s"] > 1 and 0.1 < row["peak_gb"] < 8
 
 
 @pytest.mark.slow

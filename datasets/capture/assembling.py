@@ -72,7 +72,7 @@ def _shape(recording, sights, tracked, options):
     cameras = tuple(Camera(c.intrinsics, c.camera_to_world, c.width, c.height) for c in recording.cameras)
     first = [[getattr(s, what)[0] for s in sights] for what in ("object", "hand_mask")] + [[s.depth for s in sights]]
     if not options.prior:
-        hull = visual_hull(cameras, *first, tracked, recording.ground)
+        hull = visual_hull(cameras, *first, tracked, recording.ground, step=options.spacing)
         return hull.surface, hull.interior, []
     clouds = [s.cloud_at(0) for s in sights]
     placed = place_prior(read_mesh(options.prior), cameras, *first, clouds, tracked, recording.ground, spacing=options.spacing)

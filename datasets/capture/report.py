@@ -45,6 +45,8 @@ def _summary(recording, timing, scenario, quality):
         f"{100 * quality.alive:.0f} % of the tracked points are seen in the last frame",
         f"tracks on hands miss a rigid motion by {1000 * quality.hand:.1f} mm (median)",
     ]
+    if np.isfinite(quality.unseen):
+        said.append(f"{100 * quality.unseen:.0f} % of the surface was seen by no camera in frame 0")
     if len(recording.cameras) > 1:
         apart = f"{1000 * timing.spread:.1f} ms apart (median)"
         said.append(f"the cameras' frames that belong together were taken {apart}; points are moved to one time")
@@ -58,6 +60,7 @@ def _table(quality, timing):
         "tracks alive",
         "reprojection [pixel]",
         "depth noise [mm]",
+        "texture [levels/pixel]",
         "clock [ms]",
         "drift [ppm]",
         "dropped",
@@ -73,6 +76,7 @@ def _table(quality, timing):
             f"{100 * one.alive:.0f} %",
             f"{one.reprojection:.2f}",
             f"{1000 * one.depth_noise:.2f}",
+            f"{one.texture:.1f}",
         ]
         values += [offset, drift, str(len(one.dropped)), f"{1000 * clock.jitter:.2f}"]
         rows.append("<tr>" + "".join(f"<td>{escape(v)}</td>" for v in values) + "</tr>")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .base import Clip, Masks, Tracker, Tracks
+from .patches import Patches
 
 __all__ = ["FlowTracks", "at_pixels", "within_masks"]
 
@@ -15,9 +16,11 @@ __all__ = ["FlowTracks", "at_pixels", "within_masks"]
 class FlowTracks(Tracker):
     """DIS optical flow (Kroeger et al. 2016), chained.
 
-    A point is lost where going forward and back again misses by more than ``slack`` pixels and ``share`` of the way, or where it leaves its
-    mask. While lost it moves as the ``neighbours`` do that were nearest in frame 0. It is found again where they agree with its flow, in
-    its mask, with the colour that it had: within ``color`` of Lab.
+    A point is lost where going forward and back again misses by more than ``slack`` pixels and ``share`` of the way, where it leaves its
+    mask, or where what surrounds it is no longer ``like`` frame 0 (correlation, turned and stretched as its neighbours are). While lost it
+    moves as the ``neighbours`` do that were nearest in frame 0. It is found again within ``reach`` pixels of where visible neighbours put
+    it, where what surrounds it is ``sure`` to be frame 0's, and then helps to find its own neighbours (``rounds`` of that). Without texture
+    it is found where neighbours agree with its flow, in its mask, with the colour that it had: within ``color`` of Lab.
     """
 
     name = "flow"
@@ -26,6 +29,10 @@ class FlowTracks(Tracker):
     share: float = 0.05
     neighbours: int = 6
     color: float = 18.0
+    like: float = 0.0
+    sure: float = 0.7
+    reach: int = 5
+    rounds: int = 3
 
     def tracks(self, clip: Clip, masks: Masks, starts: np.ndarray) -> Tracks:
         from scipy.spatial import cKDTree
@@ -39,17 +46,35 @@ class FlowTracks(Tracker):
         pixels[0], visible[0] = starts, True
         looks = _looks(clip.colors[0], starts)
         flows = _Flows(clip.colors, masks)
+        patches = Patches(flows.smooth(0), _labels(masks, 0), starts, near)
         for t in range(length - 1):
             own, good = flows.step(t, pixels[t], self.slack, self.share)
             others = self._with_neighbours(own, good & visible[t], near, same)
             lost = ~visible[t]
             agree = np.linalg.norm(own - others, axis=1) < 1.0 + self.share * np.linalg.norm(others, axis=1)
             step = np.where((lost | ~good)[:, None], others, own)
-            pixels[t + 1] = pixels[t] + step
-            inside = np.where(hand, at_pixels(masks.hand[t + 1], pixels[t + 1]), at_pixels(masks.object[t + 1], pixels[t + 1])) > 0
-            alike = np.linalg.norm(_looks(clip.colors[t + 1], pixels[t + 1]) - looks, axis=1) < self.color
-            visible[t + 1] = inside & good & np.where(lost, agree & alike, True)
+            now, labels = pixels[t] + step, _labels(masks, t + 1)
+            there = good & (at_pixels(labels, now) == patches.own)
+            alike = np.linalg.norm(_looks(clip.colors[t + 1], now) - looks, axis=1) < self.color
+            seen = there & np.where(lost, patches.plain & agree & alike, True)
+            pixels[t + 1], visible[t + 1] = self._verified(patches, flows.smooth(t + 1), labels, now, seen)
         return Tracks(pixels, visible, hand)
+
+    def _verified(self, patches, grey, labels, pixels, seen):
+        """``pixels`` (P, 2) and whether they are ``seen`` (P,), by what surrounds them."""
+        pixels, seen = pixels.copy(), seen.copy()
+        _, turn, known = patches.around(pixels, seen)
+        checked = np.flatnonzero(seen & known & ~patches.plain)
+        seen[checked] = patches.alike(grey, labels, checked, pixels[checked], turn[checked]) > self.like
+        for _ in range(self.rounds):  # what is found tells where its neighbours are
+            centres, turn, known = patches.around(pixels, seen)
+            sought = np.flatnonzero(~seen & known & ~patches.plain)
+            places, likeness = patches.found(grey, labels, sought, centres[sought], turn[sought], reach=self.reach)
+            right = (likeness > self.sure) & (at_pixels(labels, places) == patches.own[sought])
+            pixels[sought[right]], seen[sought[right]] = places[right], True
+            if not right.any():
+                break
+        return pixels, seen
 
     def _with_neighbours(self, steps, good, near, same):
         """(P, 2) median step of each point's good neighbours on the same thing; where there are none, of all good ones."""
@@ -80,6 +105,12 @@ class _Flows:
         self._window = (slice(top, min(rows.max() + margin, height)), slice(left, min(columns.max() + margin, width)))
         self._corner = np.array([left, top], float)
 
+    def smooth(self, frame):
+        """(H, W) float32 grey levels without the noise of single pixels."""
+        import cv2
+
+        return cv2.GaussianBlur(self._grey[frame], (0, 0), 1.0).astype(np.float32)
+
     def step(self, frame, pixels, slack, share):
         """How far ``pixels`` (P, 2) move from ``frame`` to the next, and whether the way back agrees."""
         now, then = (np.ascontiguousarray(self._grey[t][self._window]) for t in (frame, frame + 1))
@@ -90,6 +121,11 @@ class _Flows:
         height, width = now.shape
         inside = ((local + step >= 0) & (local + step <= [width - 1, height - 1])).all(1)
         return step, inside & (miss < slack + share * np.linalg.norm(step, axis=1))
+
+
+def _labels(masks, frame):
+    """(H, W) 1 for the object, 2 for hands."""
+    return masks.object[frame] + 2 * masks.hand[frame].astype(np.uint8)
 
 
 def _bilinear(field, pixels):

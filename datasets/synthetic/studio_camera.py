@@ -108,7 +108,7 @@ class Shot:
     """One picture and its truth.
 
     color    (H, W, 3) uint8 RGB; ``depth`` (H, W) uint16 counts
-    mask     (H, W) bool, more than half of the pixel is the body; ``hand`` likewise
+    mask     (H, W) bool, more than half of the pixel is the body, by its rays and the one through its centre; ``hand`` likewise
     clean    (H, W) depth of the pixel's centre without errors [m], 0 for nothing
     face     (H, W) face of the body at the pixel's centre, -1 elsewhere; ``weights`` (H, W, 3) barycentric
     """
@@ -147,9 +147,14 @@ class Stage:
         clean, face, weights = optics.centre.depth.copy(), np.full((height, width), -1, np.int32), np.zeros((height, width, 3), np.float32)
         clean[window], weights[window] = seen["depth"], np.where(seen["body"][..., None], seen["weights"], 0)
         face[window] = np.where(seen["body"], seen["face"], -1)
+        masks = []
+        for part, share in zip(("body", "hand"), shares, strict=True):
+            middle = np.zeros((height, width), bool)
+            middle[window] = seen[part]
+            masks.append(RAYS**2 * share + middle > (RAYS**2 + 1) / 2)
         pictures = _picture(_pooled(color, height, width), clean, optics, rng)
         clean = np.where(np.isfinite(clean), clean, 0).astype(np.float32)
-        return Shot(*pictures, shares[0] > 0.5, shares[1] > 0.5, clean, face, weights)
+        return Shot(*pictures, *masks, clean, face, weights)
 
     def _cast(self, empty, body, hand):
         """What each ray meets in the window where anything stands: depth, body, hand (h, w), face, weights (h, w, 3)."""
