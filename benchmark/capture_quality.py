@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..datasets import needs_open3d
 from .capture_truth import Score, score
 
 __all__ = ["PLAN", "Case", "board_row", "main", "markdown", "measure", "write_mesh"]
@@ -78,7 +79,7 @@ def measure(case: Case, seed: int = SEED) -> dict:
 
 def write_mesh(body: str, file: Path) -> Path:
     """The skin of a body of the studio as who designed it would write it: at rest, axes of its own, millimetres."""
-    import open3d as o3d
+    o3d = needs_open3d.imported("scoring built shapes")
 
     from ..datasets.synthetic.studio import BODIES
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..datasets import needs_open3d
 from ..datasets.capture.build import Built
 from ..datasets.synthetic.studio import Take, hand_motion
 from ..datasets.synthetic.tracking import Attached
@@ -88,7 +89,7 @@ def _track_errors(truth, sight, camera, frames):
 
 
 def _skin(truth, time):
-    import open3d as o3d
+    o3d = needs_open3d.imported("scoring built shapes")
 
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     vertices = truth.vertices(time).astype(np.float32)

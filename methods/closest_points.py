@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..datasets.needs_open3d import imported
 from .registration import rigid_transform
 
 __all__ = ["colored", "point_to_point"]
@@ -46,7 +47,7 @@ def colored(structure, colors, cloud, cloud_colors) -> np.ndarray:
     as open3d has it. A scale at which no points are near enough to each other changes nothing. Raises ImportError where open3d or its
     system library libusb-1.0 is not installed.
     """
-    open3d = _open3d()
+    open3d = imported("coloured registration")
     registration = open3d.pipelines.registration
     clouds = [_cloud(open3d, p, c) for p, c in ((structure[: len(colors)], colors), (cloud, cloud_colors))]
     motion = np.eye(4)
@@ -64,17 +65,6 @@ def colored(structure, colors, cloud, cloud_colors) -> np.ndarray:
             continue
     motion = np.round(motion, DIGITS)
     return structure @ motion[:3, :3].T + motion[:3, 3]
-
-
-def _open3d():
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise ImportError(
-            f"coloured registration needs open3d, which could not be imported ({error}); "
-            "install it with: pip install open3d, and its system library with: apt-get install libusb-1.0-0"
-        ) from error
-    return open3d
 
 
 def _cloud(open3d, points, colors):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import needs_open3d
 from ..scenario import Camera, Plane
 
 __all__ = ["Seen", "Similarity", "by_matches", "distance_to", "on_faces", "raycast", "refined", "searched"]
@@ -91,7 +92,7 @@ class Seen:
 
 def raycast(vertices, faces):
     """open3d's scene of one mesh."""
-    import open3d as o3d
+    o3d = needs_open3d.imported("placing a mesh")
 
     scene = o3d.t.geometry.RaycastingScene(nthreads=1)
     scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))
@@ -99,7 +100,7 @@ def raycast(vertices, faces):
 
 
 def distance_to(scene, points):
-    import open3d as o3d
+    o3d = needs_open3d.imported("placing a mesh")
 
     return scene.compute_distance(o3d.core.Tensor(points.astype(np.float32)), nthreads=1).numpy().astype(float)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import needs_open3d
 from ..files import check_file
 from ..perception.hull import Hull
 from ..scenario import Camera, Plane
@@ -86,7 +87,7 @@ def read_mesh(file: str | Path, vertices: int = PriorOptions.vertices) -> Mesh:
 
     Raises ValueError naming the file where it is no mesh with faces.
     """
-    import open3d as o3d
+    o3d = needs_open3d.imported("reading a mesh")
 
     file = Path(file)
     check_file(file)

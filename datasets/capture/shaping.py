@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import needs_open3d
 from ..perception.hull import Hull
 from .placing import Seen, on_faces, raycast
 
@@ -18,7 +19,7 @@ def bent(mesh, cameras, clouds, ground, *, near: float, blocked: float, rounds: 
     A vertex that a camera sees, its ray not ``blocked`` [m] before it, goes to one of the camera's points within ``near`` [m] of it, the
     closest to its ray; the first camera's word counts. Vertices under the table are set on it.
     """
-    import open3d as o3d
+    o3d = needs_open3d.imported("completing a shape")
     from scipy.spatial import cKDTree
 
     vertices, goals = mesh.vertices, {}
@@ -70,7 +71,7 @@ def filled(mesh, seen: Seen, tracked: np.ndarray, *, surface: int, attempts: int
 
     What rays see through is carved away; also returns its share.
     """
-    import open3d as o3d
+    o3d = needs_open3d.imported("completing a shape")
 
     rng = np.random.default_rng(0)
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import needs_open3d
+
 __all__ = ["Hands", "find_hands", "rigid"]
 
 COUNT = 30  # controllers of a published case
@@ -29,7 +31,7 @@ def find_hands(points: np.ndarray, known: np.ndarray, clouds: list[np.ndarray], 
     or, where those miss it, by its cloud (ICP), frame after frame; a hand that is not seen goes on at its speed.
     Raises ValueError where no hand is near the body in frame 0.
     """
-    import open3d as o3d
+    o3d = needs_open3d.imported("finding hands and surfaces")
     from scipy.spatial import cKDTree
 
     first = clouds[0]
@@ -86,7 +88,7 @@ def rigid(start: np.ndarray, end: np.ndarray, rounds: int = 5) -> tuple[np.ndarr
 
 def _icp(first, then, guess):
     """``guess`` refined so that the cloud of frame 0 lies on that of this frame; left as it is where little of it is seen."""
-    import open3d as o3d
+    o3d = needs_open3d.imported("finding hands and surfaces")
 
     if len(then) < 50 or len(first) < 50:
         return guess
@@ -100,7 +102,7 @@ def _icp(first, then, guess):
 
 def _farthest(points, count):
     """``count`` of ``points`` (K, 3) by farthest-point sampling; where there are fewer, points between them are added."""
-    import open3d as o3d
+    o3d = needs_open3d.imported("finding hands and surfaces")
 
     if len(points) < count:
         rng = np.random.default_rng(0)

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .. import needs_open3d
 from ..scenario import Camera
 from .render import finer, normals
 from .studio_texture import Noise
@@ -158,7 +159,7 @@ class Stage:
 
     def _cast(self, empty, body, hand):
         """What each ray meets in the window where anything stands: depth, body, hand (h, w), face, weights (h, w, 3)."""
-        import open3d as o3d
+        o3d = needs_open3d.imported("filming in the virtual studio")
 
         vertices = np.concatenate([body, hand])
         window = empty.window(vertices)
