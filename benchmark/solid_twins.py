@@ -17,6 +17,8 @@ import numpy as np
 
 from ..methods.base import Budget, Diverged
 from ..methods.registry import methods
+from ..metrics.coordinate_error import corresponds
+from ..metrics.track_error import match_tracks
 from .ablations import ABLATIONS
 from .opening import open_scenario
 from .studies import cases_of, study
@@ -26,9 +28,18 @@ __all__ = ["errors", "main", "summary"]
 GENTLE = ("lift", "slow", "pause", "rest")  # parts of motions in which a body is led, not thrown
 
 
-def errors(trajectory, truth, seen) -> np.ndarray:
-    """(T, N) mm, Euclidean distances of tracks from their true places, NaN where they were not seen."""
-    return np.where(seen, 1e3 * np.linalg.norm(trajectory.tracked - truth, axis=-1), np.nan)
+def errors(trajectory, truth, seen, points=None) -> np.ndarray:
+    """(T, N) mm, Euclidean distances of tracks from their true places ``truth`` (T, N, 3), NaN where they were not ``seen`` (T, N).
+
+    points  (N, 3) m, where tracks were seen in frame 0, of a twin that may bring its own particles from another recording: then each track
+    is told by the particle that is nearest to it there, and one that was not seen there is NaN
+    """
+    places = trajectory.tracked
+    if points is not None and not corresponds(places[0], points, seen[0]):
+        tracks, own = match_tracks(np.where(seen[0][:, None], points, np.nan), trajectory.positions[0])
+        places = np.full(np.shape(truth), np.nan)
+        places[:, tracks] = trajectory.positions[:, own]
+    return np.where(seen, 1e3 * np.linalg.norm(places - truth, axis=-1), np.nan)
 
 
 def case_rows(folder: str, case: str, method: str, preset: str, seed: int, keep: str | None = None) -> list[dict]:
@@ -46,7 +57,7 @@ def case_rows(folder: str, case: str, method: str, preset: str, seed: int, keep:
 
     def score(twin, scenario, places, spans):
         try:
-            off = errors(twin.rollout(scenario.controllers), places, scenario.visible)
+            off = errors(twin.rollout(scenario.controllers), places, scenario.visible, scenario.points[0])
         except Diverged as error:
             return [about | dict(part="all", of=of, error=np.nan, note=str(error)) for of, _, _ in spans]
         parts = label["motion"][scenario is away] if "motion" in label else []

@@ -6,7 +6,7 @@ import numpy as np
 
 from .base import Metric
 
-__all__ = ["METRIC", "CoordinateError", "mean_absolute_difference"]
+__all__ = ["METRIC", "CoordinateError", "corresponds", "mean_absolute_difference"]
 
 
 def mean_absolute_difference(observed, predicted) -> float:
@@ -31,7 +31,7 @@ class CoordinateError(Metric):
     name, unit, direction, version = "coordinate_error", "m", "lower", 1
 
     def per_frame(self, prediction, scenario, frames):
-        if not (scenario.correspond and _corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0])):
+        if not (scenario.correspond and corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0])):
             return [np.nan] * len(frames)
         seen = scenario.visible
         return [mean_absolute_difference(scenario.points[t][seen[t]], prediction.tracked[t][seen[t]]) for t in frames]
@@ -39,12 +39,12 @@ class CoordinateError(Metric):
     def reason(self, prediction, scenario, frame):
         if not scenario.correspond:
             return "the recording has clouds, whose points do not correspond"
-        if not _corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0]):
+        if not corresponds(prediction.tracked[0], scenario.points[0], scenario.visible[0]):
             return "the twin's particles are not the recording's points"
         return super().reason(prediction, scenario, frame)
 
 
-def _corresponds(particles, points, visible) -> bool:
+def corresponds(particles, points, visible) -> bool:
     """Whether particle i stands for point i, judged in frame 0."""
     from scipy.spatial import cKDTree
 

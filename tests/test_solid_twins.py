@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from twinbench.benchmark.solid_oracle import simulated, told
 from twinbench.benchmark.solid_twins import errors, summary
+from twinbench.methods.base import Trajectory
 
 PLACE = [{"centroid": [0.01, 0.02, 0.03], "radius": 0.04}] * 2
 KNOWN = {"axis_frame0": [0.0, 1.0, 0.0]}
@@ -17,6 +18,18 @@ def test_errors_are_distances_in_mm_where_tracks_were_seen():
     truth = np.array([[[3.0, 4.0, 0.0], [1.0, 0, 0]], [[0, 0, 0], [0, 0, 2.0]]]) / 1e3
     found = errors(SimpleNamespace(tracked=tracked), truth, np.array([[True, False], [True, True]]))
     np.testing.assert_allclose(found, [[5.0, np.nan], [0.0, 2.0]])  # a 3-4-5 triangle
+
+
+def test_particles_of_another_recording_are_told_by_where_they_are_in_frame_0():
+    # two tracks 1 m apart, and a third that was not seen; the twin's particles are theirs in another order, and one more
+    points = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 0, 0]])
+    seen = np.array([[True, True, False], [True, True, True]])
+    truth = np.stack([points, points + [0, 0.002, 0]])
+    own = np.array([[1.0, 0, 0], [5.0, 0, 0], [0.0, 0, 0], [7.0, 0, 0]])
+    trajectory = Trajectory(np.stack([own, own]).astype(np.float32), (4, 0, 0))
+    np.testing.assert_allclose(errors(trajectory, truth, seen, points), [[0, 0, np.nan], [2, 2, np.nan]], atol=1e-4)
+    kept = Trajectory(np.stack([points, points]).astype(np.float32), (3, 0, 0))
+    np.testing.assert_allclose(errors(kept, truth, seen, points), [[0, 0, np.nan], [2, 2, 2]], atol=1e-4)
 
 
 def test_a_summary_is_of_medians_over_cases_and_of_gentle_parts():
