@@ -21,27 +21,12 @@ from twinbench.benchmark.runner import Runner, Settings
 from twinbench.benchmark.spread import spread
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
+from waiting import alive, until
 
 pytest.importorskip("distributed", reason="no dask.distributed here: pip install 'twinbench[cluster]'")
 pytestmark = pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="asks Linux which processes there are")
 LATE = 60  # s
 TIMES = ("fit_seconds", "rollout_seconds", "peak_memory_mib", "peak_device_memory_mib", "date")
-
-
-def until(true):
-    """Wait until ``true()``."""
-    late = time.monotonic() + LATE
-    while not true():
-        assert time.monotonic() < late
-        time.sleep(0.05)
-
-
-def alive(process):
-    try:
-        with open(f"/proc/{process}/stat") as stat:
-            return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @contextmanager
@@ -81,11 +66,11 @@ def test_a_killed_workers_piece_is_done_again_and_rows_are_those_of_one_process(
     executor = DaskWorkers(address)
     with ThreadPoolExecutor(1) as pool:
         asked = pool.submit(lambda: {k: future.result() for k, future in executor.each(work, reads=[tmp_path], writes=[tmp_path])})
-        until(lambda: len(pieces.begun(tmp_path / "begun")) == 2)  # each worker has one in hand, and others wait
+        until(lambda: len(pieces.begun(tmp_path / "begun")) == 2, LATE)  # each worker has one in hand, and others wait
         lost, child, parent = pieces.begun(tmp_path / "begun")[0]
         killed = next(worker for worker in workers if worker.pid == parent)
         killed.kill()
-        until(lambda: not alive(child))  # which ends with its worker
+        until(lambda: not alive(child), LATE)  # which ends with its worker
         (tmp_path / "go").touch()
         found = asked.result(LATE)
     assert found == {name: name for name in "abcd"}
@@ -114,10 +99,10 @@ def test_what_a_piece_raises_comes_back_and_a_process_that_is_killed_is_replaced
 def test_who_stops_ends_what_runs(two, tmp_path):
     with closing(DaskWorkers(two[0]).each({"a": os.getpid, "b": partial(pieces.waits, tmp_path, "b", seconds=600)})) as finished:
         assert next(finished)[0] == "a"
-        until(lambda: pieces.begun(tmp_path))
+        until(lambda: pieces.begun(tmp_path), LATE)
         stopped = time.monotonic()
     assert time.monotonic() - stopped < 2
-    until(lambda: not alive(pieces.begun(tmp_path)[0][1]))
+    until(lambda: not alive(pieces.begun(tmp_path)[0][1]), LATE)
 
 
 PROGRAM = """
@@ -134,10 +119,10 @@ list(DaskWorkers(sys.argv[2]).each({"a": partial(pieces.waits, sys.argv[3], "a",
 def test_workers_stop_where_the_command_is_killed(two, tmp_path):
     arguments = [os.path.dirname(pieces.__file__), two[0], str(tmp_path)]
     command = subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments])
-    until(lambda: pieces.begun(tmp_path))
+    until(lambda: pieces.begun(tmp_path), LATE)
     command.send_signal(signal.SIGKILL)
     command.wait()
-    until(lambda: not alive(pieces.begun(tmp_path)[0][1]))
+    until(lambda: not alive(pieces.begun(tmp_path)[0][1]), LATE)
 
 
 @pytest.mark.slow
@@ -147,11 +132,11 @@ def test_a_scheduler_that_goes_is_one_sentence(tmp_path):
         work = {"a": partial(pieces.waits, tmp_path / "begun", "a", seconds=600)}
         with ThreadPoolExecutor(1) as pool:
             asked = pool.submit(lambda: list(DaskWorkers(address).each(work, writes=[tmp_path])))
-            until(lambda: pieces.begun(tmp_path / "begun"))
+            until(lambda: pieces.begun(tmp_path / "begun"), LATE)
             scheduler.kill()
             with pytest.raises(OSError, match=r"^the scheduler at tcp://127\.0\.0\.1:\d+ is gone"):
                 asked.result(LATE)
-        until(lambda: not alive(pieces.begun(tmp_path / "begun")[0][1]))
+        until(lambda: not alive(pieces.begun(tmp_path / "begun")[0][1]), LATE)
 
 
 def test_a_path_that_workers_do_not_see_is_named(two, tmp_path):

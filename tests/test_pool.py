@@ -8,6 +8,7 @@ import time
 
 import pytest
 from twinbench.datasets.pool import Pool
+from waiting import alive
 
 FOREVER = 600  # s that workers would take; whatever is over in a tenth of that did not wait for them
 LATE = 60
@@ -19,15 +20,6 @@ with Pool(2) as pool:
     print(*pool._processes, flush=True)
     running[0].result()
 """
-
-
-def alive(process):
-    """Whether it runs; one that has ended and is not yet fetched does not."""
-    try:
-        with open(f"/proc/{process}/stat") as stat:
-            return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.skipif(not os.path.exists("/proc/self/stat"), reason="asks Linux which processes there are")

@@ -14,6 +14,7 @@ import pytest
 from twinbench.benchmark.executors.slurm import Slurm
 from twinbench.benchmark.executors.slurm_jobs import IDS, cancel_orphans
 from twinbench.benchmark.executors.slurm_options import SlurmOptions
+from waiting import alive, until
 
 submitit = pytest.importorskip("submitit", reason="no submitit here: pip install 'twinbench[cluster]'")
 LATE = 30  # s
@@ -139,10 +140,10 @@ def test_who_stops_cancels_all_jobs_at_once(slurm, tmp_path):
     work["quick"] = os.getpid
     with closing(Slurm(folder=tmp_path / "jobs").each(work)) as finished:
         assert next(finished)[0] == "quick"
-        until(lambda: len(pieces.begun(tmp_path / "begun")) == 2)
+        until(lambda: len(pieces.begun(tmp_path / "begun")) == 2, LATE)
         stopped = time.monotonic()
     assert time.monotonic() - stopped < 2
-    until(lambda: not [process for _, process, _ in pieces.begun(tmp_path / "begun") if alive(process)])
+    until(lambda: not [process for _, process, _ in pieces.begun(tmp_path / "begun") if alive(process)], LATE)
 
 
 PROGRAM = """
@@ -161,28 +162,12 @@ def test_the_jobs_of_a_command_that_was_killed_are_cancelled_by_the_next(slurm, 
     (tmp_path / "begun").mkdir()
     arguments = [str(Path(pieces.__file__).parent), str(tmp_path / "jobs"), str(tmp_path / "begun")]
     command = subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments])
-    until(lambda: pieces.begun(tmp_path / "begun"))
+    until(lambda: pieces.begun(tmp_path / "begun"), LATE)
     assert cancel_orphans(tmp_path / "jobs") == 0  # it lives
     command.kill()
     command.wait()
     ((_, process, _),) = pieces.begun(tmp_path / "begun")
     assert alive(process) and len(list((tmp_path / "jobs").glob(f".*/{IDS}"))) == 1
     assert results(Slurm(["cluster=debug"], folder=tmp_path / "jobs"), {"b": os.getpid}) == {"b": os.getpid()}
-    until(lambda: not alive(process))
+    until(lambda: not alive(process), LATE)
     assert not list((tmp_path / "jobs").iterdir())
-
-
-def until(true):
-    """Wait until ``true()``."""
-    late = time.monotonic() + LATE
-    while not true():
-        assert time.monotonic() < late
-        time.sleep(0.05)
-
-
-def alive(process):
-    try:
-        with open(f"/proc/{process}/stat") as stat:
-            return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
-    except OSError:
-        return False

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .base import Clip, Masks, Tracker, Tracks
-from .patches import Patches
+from .patches import Patches, at_pixels
 
 __all__ = ["FlowTracks", "at_pixels", "within_masks"]
 
@@ -134,14 +134,6 @@ def _bilinear(field, pixels):
 
     maps = np.ascontiguousarray(pixels[None].astype(np.float32))
     return cv2.remap(field.astype(np.float32), maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[0].astype(float)
-
-
-def at_pixels(mask, pixels):
-    """``mask`` (H, W) at the nearest pixel, 0 outside."""
-    column, row = np.round(pixels).astype(int).T
-    height, width = mask.shape
-    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    return np.where(inside, mask[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], 0)
 
 
 def within_masks(pixels, visible, masks: Masks, starts) -> Tracks:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["Patches"]
+__all__ = ["Patches", "at_pixels"]
 
 GRID = 2.0 * (np.stack(np.meshgrid(np.arange(5), np.arange(5)), -1).reshape(-1, 2) - 2)  # samples of a patch around its point [pixel]
 LEAST = 12  # samples on the point's own thing, of 25
@@ -23,11 +23,11 @@ class Patches:
     """
 
     def __init__(self, grey: np.ndarray, labels: np.ndarray, starts: np.ndarray, near: np.ndarray):
-        self.starts, self.own = starts, _at(labels, starts)
+        self.starts, self.own = starts, at_pixels(labels, starts)
         self._near = near
         self._same = self.own[near] == self.own[:, None]
         places = starts[:, None] + GRID
-        self._values, self._valid = _grey_at(grey, places), _at(labels, places) == self.own[:, None]
+        self._values, self._valid = _grey_at(grey, places), at_pixels(labels, places) == self.own[:, None]
         count = np.maximum(self._valid.sum(1), 1)
         mean = (self._values * self._valid).sum(1) / count
         self.plain = np.sqrt((((self._values - mean[:, None]) * self._valid) ** 2).sum(1) / count) < PLAIN
@@ -58,7 +58,7 @@ class Patches:
         """
         flat = pixels.reshape(len(chosen), int(np.prod(pixels.shape[1:-1])), 1, 2)
         places = flat + np.einsum("cij,gj->cgi", turn, GRID)[:, None]
-        both = (_at(labels, places) == self.own[chosen, None, None]) & self._valid[chosen, None]
+        both = (at_pixels(labels, places) == self.own[chosen, None, None]) & self._valid[chosen, None]
         count = both.sum(-1)
         a, b = np.broadcast_to(self._values[chosen, None], both.shape), _grey_at(grey, places)
         a, b = (both * (v - ((v * both).sum(-1) / np.maximum(count, 1))[..., None]) for v in (a, b))
@@ -83,12 +83,12 @@ class Patches:
         return best, likeness
 
 
-def _at(labels, places):
-    """``labels`` (H, W) at the nearest pixel of ``places`` (..., 2); 0 outside."""
+def at_pixels(picture, places):
+    """``picture`` (H, W) at the nearest pixel of ``places`` (..., 2); 0 outside."""
     column, row = np.moveaxis(np.round(places).astype(int), -1, 0)
-    height, width = labels.shape
+    height, width = picture.shape
     inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    return np.where(inside, labels[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], 0)
+    return np.where(inside, picture[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)], 0)
 
 
 def _grey_at(grey, places):
