@@ -32,9 +32,9 @@ class DiagnosisConfig:
     motion      prior standard deviation of an effect's motion [mm]: effects that matter move a body by a few mm to a few cm
     probe       motion by which a signature is measured [mm]: above rounding (0.01 mm) and within the effect's linear part
     refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members
-    steps       of such a refit, at most, of three runs each; it ends where fresh slopes lead nowhere. Three of them left a wind of 15 mm,
-                nine a hand that gives way (116 mm) far from where refits end; that one takes twenty
-    refresh     steps after which a refit measures its slopes anew, which takes as many runs as it has unknowns
+    steps       of such a refit, at most, of one to three runs each; it ends where fresh slopes lead nowhere, which take as many runs as it
+                has unknowns. Three steps left a wind of 15 mm, nine a hand that gives way (116 mm) far from where refits end; that one
+                takes twenty
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
     strengths   of the prior covariance, in members; ``memories`` [s] and ``reaches`` (of the body's extent) of its correlation. They are
@@ -59,14 +59,13 @@ class DiagnosisConfig:
     probe: float = 1.0
     refitted: int = 4
     steps: int = 24
-    refresh: int = 3
     parallel: float = 0.95
     strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
     memories: tuple[float, ...] = (0.0, 0.15, 0.5, 1.5)
     reaches: tuple[float, ...] = (0.0, 0.15, 0.4)
 
     def __post_init__(self):
-        for name in ("regions", "times", "held_out", "fewest", "rounds", "refitted", "steps", "refresh"):
+        for name in ("regions", "times", "held_out", "fewest", "rounds", "refitted", "steps"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.members < 4:

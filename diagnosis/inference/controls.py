@@ -24,7 +24,7 @@ from ..config import DiagnosisConfig
 __all__ = ["FILE", "Controls", "conformal", "frozen", "main"]
 
 FILE = Path(__file__).parent / "controls.json"
-DECIDING = ("level", "motion", "refitted", "steps", "refresh", "parallel", "members")  # fields that change no statistic of a recording
+DECIDING = ("level", "motion", "refitted", "steps", "parallel", "members")  # fields that change no statistic of a recording
 
 
 def conformal(value: float, controls: Sequence[float]) -> float:

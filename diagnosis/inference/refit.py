@@ -16,7 +16,8 @@ from .slopes import corrected
 
 __all__ = ["Gain", "Refit", "gained", "refitted"]
 
-TRIALS = (1.0, 0.4, 0.1)  # of a Gauss-Newton step, side by side
+TRIALS = (1.0, 0.4, 0.1)  # of a Gauss-Newton step, one after the other until one is better
+TRUSTED = 0.2  # of what slopes promised: a step that gains less says that they are those of elsewhere
 DIFFERENCE = 0.05  # prior standard deviations
 ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
 
@@ -56,9 +57,9 @@ def refitted(
     """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
 
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
-    are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again after every
-    ``config.refresh`` steps: an effect that moves a body by centimetres leads far from where the sound twin's fit ended.
-    Its amounts have a prior by the motion that they make (``amounts``).
+    are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
+    a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
+    arrived where fresh slopes lead nowhere. Amounts have a prior by the motion that they make (``amounts``).
     """
     count = slopes.shape[1]
     twins = forward.with_effects([signature.candidate]) if signature else forward
@@ -81,18 +82,22 @@ def refitted(
             return _Place(numbers, prediction, np.inf)
         return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
 
-    at, jacobian = place(np.zeros(len(low)), reference), slopes
-    for k in range(config.steps):
-        if k and k % config.refresh == 0:
-            jacobian = _slopes(run, at, jacobian, low, high)
-        step = _step(at, jacobian, data, likelihood, rows, low, high)
-        trials = np.clip(at.numbers + np.outer(TRIALS, step), low, high)
-        found = min((place(t, p) for t, p in zip(trials, run(trials), strict=True)), key=lambda f: f.cost)
-        if np.isfinite(found.cost):
-            jacobian = corrected(jacobian, found.numbers - at.numbers, found.prediction - at.prediction)
+    at, jacobian, fresh = place(np.zeros(len(low)), reference), slopes, False
+    for _ in range(config.steps):
+        step, promised = _step(at, jacobian, data, likelihood, rows, low, high)
+        for part in TRIALS:
+            numbers = np.clip(at.numbers + part * step, low, high)
+            found = place(numbers, run(numbers[None])[0])
+            if np.isfinite(found.cost):
+                jacobian = corrected(jacobian, found.numbers - at.numbers, found.prediction - at.prediction)
+            if found.cost < at.cost:
+                break
         gained, at = at.cost - found.cost, found if found.cost < at.cost else at
-        if not gained > ARRIVED and k and k % config.refresh == 0:  # with fresh slopes no step helps any more
+        if fresh and not gained > ARRIVED:
             break
+        fresh = not gained > max(ARRIVED, TRUSTED * promised)
+        if fresh:
+            jacobian = _slopes(run, at, jacobian, low, high)
     curvature = _curvature(at, jacobian, data, likelihood, rows)
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
@@ -130,7 +135,7 @@ def _curvature(at, jacobian, data, likelihood, rows):
 
 
 def _step(at, jacobian, data, likelihood, rows, low, high):
-    """(n,) Gauss and Newton's, what presses against a bound staying there."""
+    """((n,) Gauss and Newton's, what presses against a bound staying there; what it promises to gain)."""
     white, ways = likelihood.whitened((data - at.prediction)[rows]), likelihood.whitened(jacobian[rows])
     weight = (likelihood.degrees + len(white)) / (likelihood.degrees + white @ white)
     downhill = weight * ways.T @ white - at.numbers
@@ -138,7 +143,7 @@ def _step(at, jacobian, data, likelihood, rows, low, high):
     step = np.zeros(len(free))
     curvature = weight * ways.T @ ways + np.eye(len(free))
     step[free] = np.linalg.solve(curvature[np.ix_(free, free)], downhill[free])
-    return step
+    return step, float(downhill @ step) / 2
 
 
 def gained(data, sound, other, cells: Sequence) -> Gain:
