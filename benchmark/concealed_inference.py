@@ -47,7 +47,7 @@ SHOWN = (
 SHOWN += ("runs", "run_cpu", "fit_cpu", "cpu", "wall")
 
 
-def fitted(recording: Scenario, kept: Path | None, cells: float, seed: int) -> ContinuumTwin:
+def fitted(recording: Scenario, kept: Path | None, cells: float | None, seed: int) -> ContinuumTwin:
     """The sound twin; one that is ``kept`` there is not fitted again.
 
     It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use.

@@ -18,8 +18,8 @@ class DiagnosisConfig:
     held_out    bins of the frames that were not fitted, which are a quarter to a third of them
     fewest      tracks seen in a region within a bin, of which a mean and its error can be told: two more than a linear field has
     members     sound twins: a variance from 15 is known to 18 %; 8, for a quick look, tell it to 27 %
-    cells       of the reference, by edge over those of the fitted twin: half as large again cost a third, and what they are off by is what
-                members differ in
+    cells       of the reference, by edge over those of the fitted twin; None: as the search of the kind of body has them, of solids half as
+                large again, which cost a third, and what they are off by is what members differ in
     finest, coarsest  edge of a member's cells over the reference's. The truth is finer than any twin, so that most members are
     turned      standard deviation of the angle by which a member's grid is turned [degrees]: cells need not follow a body's axes
     dropped     share of the points of frame 0 and of a hand's controllers without which a member's body and hands are told: the mean of
@@ -47,7 +47,7 @@ class DiagnosisConfig:
     held_out: int = 3
     fewest: int = 6
     members: int = 16
-    cells: float = 1.5
+    cells: float | None = None
     finest: float = 0.6
     coarsest: float = 1.2
     turned: float = 15.0
@@ -72,3 +72,7 @@ class DiagnosisConfig:
             raise ValueError(f"members must be at least 4, got {self.members}: fewer tell no variance")
         if not 0 < self.level < 1:
             raise ValueError(f"level must lie in (0, 1), got {self.level}")
+
+    def cells_of(self, body) -> float:
+        """``cells`` of a body, of its kind's where this says none."""
+        return body.coarse if self.cells is None else self.cells

@@ -1,22 +1,31 @@
-"""The commands that measure twins of solids: errors where tracks were seen, summaries, and what an oracle is told."""
+"""The commands that measure twins of sound bodies: errors where tracks were seen, summaries, and what an oracle is told."""
 
-from types import SimpleNamespace
+from itertools import product
+from types import SimpleNamespace as Some
 
 import numpy as np
 import pytest
 from twinbench.benchmark.solid_oracle import simulated, told
-from twinbench.benchmark.solid_twins import errors, summary
+from twinbench.benchmark.solid_twins import errors, first_second, summary
 from twinbench.methods.base import Trajectory
 
 PLACE = [{"centroid": [0.01, 0.02, 0.03], "radius": 0.04}] * 2
-KNOWN = {"axis_frame0": [0.0, 1.0, 0.0]}
-EFFECTS = ("viscoelastic", "added_mass", "wind", "anisotropy", "compression_softening", "grip_compliance", "quadratic_drag", "creep")
+KNOWN = {"axis_frame0": [0.0, 1.0, 0.0], "moves": False, "anchor": [0.0, 0.1, 0.2], "rest_m": 0.03, "shape": "sphere", "size_m": 0.03}
+KNOWN |= {"reach_m": 0.005}
+EVERY = ("added_mass", "wind", "gravity_tilt", "grip_compliance", "controller_delay", "quadratic_drag")
+EVERY += ("hidden_tether", "hidden_obstacle", "ground_adhesion")
+OF_CELLS = ("viscoelastic", "anisotropy", "compression_softening", "creep")
+
+
+def scene(kind="solid", axes=None):
+    body = Some(kind=kind, grid=Some(axes=np.eye(3) if axes is None else axes))
+    return Some(body=body, gravity=np.array([0.0, 0.0, 9.81]), ground=Some(normal=np.array([0, 0, -1.0]), offset=0.0))
 
 
 def test_errors_are_distances_in_mm_where_tracks_were_seen():
     tracked = np.zeros((2, 2, 3))
     truth = np.array([[[3.0, 4.0, 0.0], [1.0, 0, 0]], [[0, 0, 0], [0, 0, 2.0]]]) / 1e3
-    found = errors(SimpleNamespace(tracked=tracked), truth, np.array([[True, False], [True, True]]))
+    found = errors(Some(tracked=tracked), truth, np.array([[True, False], [True, True]]))
     np.testing.assert_allclose(found, [[5.0, np.nan], [0.0, 2.0]])  # a 3-4-5 triangle
 
 
@@ -41,14 +50,25 @@ def test_a_summary_is_of_medians_over_cases_and_of_gentle_parts():
                 about | dict(part="all", error=error),
                 about | dict(part="lift", error=error / 2),
                 about | dict(part="swing", error=50.0),
+                about | dict(part="frame 0", error=error / 4),
+                about | dict(part="first second", error=error * 2),
             ]
-    assert summary(rows).splitlines()[-1] == "| s | m | 3 | 2.00 | 2.00 | 2.00 | 1.00 | 1.00 | 1.00 |"
+    assert summary(rows).splitlines()[-1] == "| s | m | 3 | 2.00 | 2.00 | 2.00 | 1.00 | 1.00 | 1.00 | 0.50 | 0.50 | 4.00 | 4.00 |"
 
 
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_an_oracle_is_told_of_parameters_that_its_terms_have(effect):
+def test_the_first_second_begins_when_a_hand_has_gone_5_mm():
+    # the second of two hands goes 1 mm a frame from frame 3 on: 5 mm in frame 8
+    hands = np.zeros((60, 2, 3))
+    hands[:, 1, 2] = 1e-3 * np.maximum(np.arange(60) - 3, 0)
+    assert first_second(hands + [0.1, 0.2, 0.3], 30.0) == (8, 38)
+    with pytest.raises(ValueError, match="a hand must go 5 mm"):
+        first_second(hands[:5], 30.0)
+
+
+@pytest.mark.parametrize(("kind", "effect"), [*product(("solid", "rope", "sheet"), EVERY), *product(("solid",), OF_CELLS)])
+def test_an_oracle_is_told_of_parameters_that_its_terms_have(kind, effect):
     label = dict(effect=effect, parameters=KNOWN, place=PLACE)
-    terms, amounts, fixed = told(label, np.eye(3))
+    terms, amounts, fixed = told(label, scene(kind))
     known = {"grip_rate", "grip_damping", *(p.name for t in terms for p in t.parameters)}
     assert amounts and {u.name for u in amounts} | set(fixed) <= known
     for term in terms:
@@ -58,13 +78,28 @@ def test_an_oracle_is_told_of_parameters_that_its_terms_have(effect):
 
 def test_fibres_are_told_their_direction_in_the_grids_axes():
     # an axis along the room's y is the first axis of a grid whose first row is y
-    _, _, fixed = told(dict(effect="anisotropy", parameters=KNOWN, place=[None, None]), np.roll(np.eye(3), -1, axis=0))
+    turned = scene(axes=np.roll(np.eye(3), -1, axis=0))
+    _, _, fixed = told(dict(effect="anisotropy", parameters=KNOWN, place=[None, None]), turned)
     assert (fixed["fibre_azimuth"], fixed["fibre_elevation"]) == pytest.approx((0.0, 0.0))
 
 
 def test_an_effect_that_no_term_says_is_refused():
-    with pytest.raises(KeyError, match="magnetism"):
-        told(dict(effect="magnetism", parameters={}, place=[None]), np.eye(3))
+    for effect, kind, known in (
+        ("magnetism", "solid", {}),
+        ("bending", "rope", {}),  # a rope's own stiffness is fitted by a sound twin
+        *((effect, "sheet", KNOWN) for effect in OF_CELLS),
+        ("hidden_tether", "rope", KNOWN | {"moves": True}),  # the term's anchor stays
+        ("hidden_obstacle", "sheet", KNOWN | {"shape": "box"}),  # the term's is a sphere
+    ):
+        with pytest.raises(KeyError, match=effect):
+            told(dict(effect=effect, parameters=known, place=PLACE), scene(kind))
+
+
+def test_a_place_is_told_as_it_is_in_each_recording():
+    places = [dict(centroid=[x, 0.0, 0.0], radius=0.04) for x in (0.1, 0.3)]
+    for effect, name in (("added_mass", "added_mass_x"), ("hidden_tether", "tether_x")):
+        label = dict(effect=effect, parameters=KNOWN, place=places)
+        assert [told(label, scene("rope"), recording)[2][name] for recording in (0, 1)] == [0.1, 0.3]
 
 
 BODY = dict(kind="plush", young=2e4, density=80.0, poisson=0.3, damping=0.01, drag=0.5, friction=0.4, area_m2=0.03, mass_kg=0.02)
@@ -74,6 +109,8 @@ AMOUNTS = {
     "wind": dict(velocity_m_s=[1.0, 0.5, 0.0], coefficient_kg_m3=2.4),
     "quadratic_drag": dict(coefficient_kg_m3=24.0),
     "creep": dict(time_s=0.5),
+    "gravity_tilt": dict(gravity_m_s2=[1.2, -0.5, 9.7]),
+    "controller_delay": dict(frames=2),
 }
 
 
@@ -82,7 +119,7 @@ def test_what_an_oracle_is_told_can_be_what_was_simulated(effect):
     # every amount that is fitted has a true value, within what is searched; a density of 80 makes E at 100 kg/m^3 1.25 times as large
     place = dict(centroid=[0.1, 0.0, 0.0], radius=0.04)
     label = dict(effect=effect, parameters=AMOUNTS[effect], place=[place, place], body=BODY)
-    extra, amounts, _ = told(label, np.eye(3))
+    extra, amounts, _ = told(label, scene())
     true = simulated(label)
     assert true["youngs_modulus"] == pytest.approx(2.5e4)
     assert amounts and all(u.low <= true[u.name] <= u.high for u in amounts)
@@ -102,3 +139,13 @@ def test_the_pull_of_a_wind_is_that_of_the_drag_equation():
     true, speed = simulated(label), np.hypot(1.0, 0.5)
     assert [true[f"wind_{axis}"] for axis in "xyz"] == pytest.approx([3.6 * speed, 1.8 * speed, 0.0])
     assert true["wind_speed"] == pytest.approx(speed)
+
+
+def test_a_tilt_that_was_simulated_turns_what_is_told():
+    # the term takes what of the true gravity is across the told one: g + t with |g + t| = |g| is the true gravity
+    true = np.array([1.2, -0.5, 0.0])
+    true[2] = np.sqrt(9.81**2 - true @ true)
+    label = dict(effect="gravity_tilt", parameters=dict(gravity_m_s2=true.tolist()), place=[None, None], body=BODY)
+    (term,), _, fixed = told(label, scene())
+    values = {p.name: {**fixed, **simulated(label)}[p.name] for p in term.parameters}
+    np.testing.assert_allclose(term.twin(None, None, None, 1.0, **values) + scene().gravity, true, atol=1e-12)

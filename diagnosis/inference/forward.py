@@ -90,7 +90,8 @@ class Forward:
             twin.own_values,
             tuple(recordings),
             tuple(
-                Simulator(_coarser(s, r.observed(), config.cells), twin.extra, twin.device) for s, r in zip(scenes, recordings, strict=True)
+                Simulator(_coarser(s, r.observed(), config.cells_of(s.body)), twin.extra, twin.device)
+                for s, r in zip(scenes, recordings, strict=True)
             ),
             blocks,
             frozenset(sound),

@@ -39,6 +39,7 @@ class Body(ABC):
     recordings: int = 3  # that are fitted jointly, at most, unless a config says
     seconds: float = np.inf  # of each
     iterations: int = 8  # of the search, at most
+    coarse: float = 1.5  # times as large as usual, the cells of the search
     structure: np.ndarray
     surface: np.ndarray
     notes: tuple[str, ...]

@@ -21,7 +21,7 @@ class Config:
     starts      of the search, spread over the priors
     iterations  of the search, at most, which is made in larger cells (None: as many as suit the kind of body), and of the ``refinement`` in
                 those of ``pitch``
-    coarse      how many times as large cells are in the search
+    coarse      how many times as large cells are in the search; None: as suits the kind
     recordings  that are fitted jointly, at most; None: as many as suit the kind of body
     more        times as many recordings as suit the kind of body, where ``recordings`` does not say
     seconds     of each that are fitted, from any frame in which the whole body is known; None: as suits the kind, or all
@@ -38,7 +38,7 @@ class Config:
     starts: int = 3
     iterations: int | None = None
     refinement: int = 4
-    coarse: float = 1.5
+    coarse: float | None = None
     recordings: int | None = None
     more: float = 1.0
     seconds: float | None = None

@@ -94,8 +94,8 @@ def estimate(
     in the motion sound twins part, and a second search from there hears the rest. Raises AllDiverged where every start blows up.
     """
     task = Task.of(recordings, scenes, config, tuple(extra), extra_unknowns, fixed or {}, device)
-    coarse = task.coarser(recordings, config.coarse)
     kind, bodies = type(scenes[0].body), [scene.body for scene in scenes]
+    coarse = task.coarser(recordings, kind.coarse if config.coarse is None else config.coarse)
 
     def told(stage, begin, share, iterations):
         def tell(iteration, cost, _values):
@@ -200,7 +200,8 @@ class Task:
 def _spread(found, task, coarse, count, seed):
     """(R,) m, what sound twins of the same recordings are off that no choice of the unknowns absorbs.
 
-    Members differ in grips, damping, drag and friction as far as priors allow; one is the same twin in other cells.
+    Members differ in grips, damping, drag and friction as far as priors allow; one is the same twin in other cells,
+    where the search has larger ones.
     """
     jacobian, reference = _jacobian(found, coarse.simulate)
     unknowns, kind = task.unknowns, type(task.simulators[0].scene.body)

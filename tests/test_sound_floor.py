@@ -1,12 +1,18 @@
-"""Hands that go astray: a script as a twin has it that reads the hands from a recording, against errors that were put in by hand."""
+"""Hands that go astray: a script as a twin has it that reads the hands from a recording, against errors that were put in by hand; and the
+bodies that D compares.
+"""
 
-from dataclasses import replace
+import json
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from blocks import lifted
 from scipy.spatial.transform import Rotation
-from twinbench.benchmark.solid_floor import felt
+from twinbench.benchmark.sound_floor import FITTED, case_row, drawn, engine_of, felt
+from twinbench.datasets.concealed.bodies import Body
+from twinbench.datasets.concealed.converge import shared_vertices
+from twinbench.datasets.concealed.engines import ENGINES, NEEDS, engine
 from twinbench.datasets.concealed.motions import Script
 from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.simulate import to_world
@@ -54,3 +60,31 @@ def test_another_number_of_hands_is_refused():
     recording, places, turns = recorded(np.zeros((FRAMES, 3)), np.zeros((FRAMES, 3)))
     with pytest.raises(ValueError, match="the recording must show 2 hands, shows 1"):
         felt(Script("lift", (HAND, HAND), FRAMES), recording, np.repeat(places, 2, 1), np.repeat(turns, 2, 1))
+
+
+@pytest.mark.parametrize("kind", FITTED)
+def test_two_meshes_of_a_body_share_the_vertices_of_the_coarser_one(kind):
+    # drawn from one seed: the same body and script, where each vertex of the one is one of the other; what is fitted are numbers of it
+    label = dict(seed=[5, 0], object=kind, solids="hexahedra", thin="resolved", interactions=["lift", "slow"])
+    (base, scripts), (fine, again) = drawn(label), drawn(label, 2)
+    np.testing.assert_allclose(fine.vertices[shared_vertices(base, fine)], base.vertices, atol=1e-9)
+    assert len(fine.vertices) > 1.9 * len(base.vertices)
+    assert fine.mass.sum() == pytest.approx(base.mass.sum(), rel=1e-4)  # a rounded body fills a little more of its finer mesh
+    assert [s.name for s in scripts] == ["lift", "slow"] and repr(scripts) == repr(again)
+    assert set(FITTED[kind]) <= {f.name for f in fields(Body)} and all(getattr(base, name) > 0 for name in FITTED[kind])
+
+
+@pytest.mark.parametrize("name", ENGINES)
+def test_labels_say_which_engine_it_was(name):
+    for module in NEEDS[name]:
+        pytest.importorskip(module)
+    assert engine_of({"engine": engine(name).about() | {"substeps": 32}}) == name
+
+
+def test_cloths_of_other_engines_are_refused(tmp_path):
+    (tmp_path / "truth").mkdir()
+    np.savez(tmp_path / "truth" / "case_000.npz")
+    label = dict(control="plain", effect=None, object="cloth", thin="resolved", engine={"mujoco": "3"})
+    (tmp_path / "labels.json").write_text(json.dumps({"case_000": label}))
+    with pytest.raises(ValueError, match="D of cloths is of resolved ones of the engine 'finite'"):
+        case_row(str(tmp_path), "case_000")
