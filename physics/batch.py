@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -154,9 +154,7 @@ class Batch:
             lead[start[k] + sizes[k] : start[k + 1]] = 1
             ends.append(index[s.springs] + start[k])
             indices.append(index + start[k])
-            path = np.concatenate([s.controllers, np.repeat(s.controllers[-1:], frames - len(s.controllers), 0)])
-            path[:, held] += s.positions[s.grips[held]] - s.controllers[0, held]  # a grip carries its particle along where it found it
-            paths.append(path)
+            paths.append(_carrying(s, np.concatenate([s.controllers, np.repeat(s.controllers[-1:], frames - len(s.controllers), 0)])))
         ends = np.concatenate(ends).reshape(-1, 2)
         here, other = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
         spring = np.tile(np.arange(len(ends)), 2)
@@ -274,6 +272,23 @@ class Batch:
         return [nodes[..., a : a + m, :] for a, m in zip(self.starts[:-1], self.sizes, strict=True)]
 
     # ---------------------------------------------------------------- running
+
+    def along(self, controllers) -> Inputs:
+        """The inputs at the start under other ``controllers`` (B, T, C, 3) [m], which are in frame 0 where those of the systems are.
+
+        Raises ValueError for another number of systems or controllers, or where one begins elsewhere.
+        """
+        controllers = np.asarray(controllers, float)
+        counts = {s.controllers.shape[1] for s in self.systems}
+        if controllers.ndim != 4 or len(controllers) != len(self.systems) or counts != {controllers.shape[2]}:
+            raise ValueError(f"controllers must have shape ({len(self.systems)}, T, {min(counts)}, 3), got {controllers.shape}")
+        paths = []
+        for k, (system, path) in enumerate(zip(self.systems, controllers, strict=True)):
+            if not np.array_equal(path[0], system.controllers[0]):
+                far = float(np.abs(path[0] - system.controllers[0]).max())
+                raise ValueError(f"controllers of system {k} must begin where its own do, and are {far:g} m from there")
+            paths.append(_carrying(system, path))
+        return replace(self.inputs, path=self._real(np.concatenate(paths, 1)))
 
     def rollout(self, frames: int | None = None, inputs: Inputs | None = None) -> Rollout:
         """Simulate frames 0 to ``frames`` - 1 (all by default) without gradients; frame 0 is the start.
@@ -451,6 +466,13 @@ def _each(systems, name, value):
         return np.broadcast_to(found, (len(systems),)).copy()
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number or one for each of the {len(systems)} systems, got {value!r}") from None
+
+
+def _carrying(system: System, path):
+    """``path`` (T, C, 3) m of its controllers: one that holds a particle carries it along where it found it."""
+    path, held = path.copy(), np.flatnonzero(system.grips >= 0)
+    path[:, held] += system.positions[system.grips[held]] - system.controllers[0, held]
+    return path
 
 
 def first_bad(positions):

@@ -330,3 +330,18 @@ def test_an_input_changed_in_place_before_the_way_back_is_refused():
         stiffness += 1.0
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         out.sum().backward()
+
+
+@every_kind
+def test_along_other_ways_is_what_systems_with_these_ways_do(kinds):
+    one = make(kinds, 5, frames=6)
+    ways = one.controllers + np.cumsum(np.random.default_rng(0).normal(0, 1e-3, (3, *one.controllers.shape)), axis=1)
+    ways[:, 0] = one.controllers[0]
+    options = dict(fps=FPS, substeps=SUBSTEPS, workers=1)
+    batch = Batch([one] * 3, **options)
+    moved, apart = batch.rollout(6, batch.along(ways)).positions, roll([replace(one, controllers=way) for way in ways])[0]
+    assert all(torch.equal(a, b) for a, b in zip(moved, apart, strict=True))
+    with pytest.raises(ValueError, match="must begin where"):
+        batch.along(ways + 0.01)
+    with pytest.raises(ValueError, match=r"shape \(3, T"):
+        batch.along(ways[:2])

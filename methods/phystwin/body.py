@@ -188,15 +188,9 @@ def _made(one: System, fps: float) -> System:
     return replace(one, stiffness=made.stiffness.double().numpy(), rest=made.rest.double().numpy(), masses=made.mass[own].double().numpy())
 
 
-def roll(
-    systems: Sequence[System], fps: float, frames: int, config: Config, device: str, *, step: tuple[int, float] | None = None
-) -> list[Motion]:
-    """The first ``frames`` frames of each system, all as one batch, each with as many substeps as it needs.
-
-    ``step`` (substeps per frame, seconds) overrides what ``config`` would choose.
-    """
-    steps = [step or time_step([one], fps, config) for one in systems]
-    substeps, dt = zip(*steps, strict=True)
+def roll(systems: Sequence[System], fps: float, frames: int, config: Config, device: str) -> list[Motion]:
+    """The first ``frames`` frames of each system, all as one batch, each with as many substeps as it needs."""
+    substeps, dt = zip(*(time_step([one], fps, config) for one in systems), strict=True)
     batch = Batch(systems, fps=fps, substeps=substeps, dt=dt, device=device)
     if config.quirks.acceleration_loss:
         return [Motion(x, v, first_bad(x)) for x, v in zip(*_frame_by_frame(batch, frames), strict=True)]

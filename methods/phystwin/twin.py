@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from ...datasets.scenario import Observed
 from ...physics import terms
+from ...physics.batch import Batch
+from ...physics.latest import Latest
+from ...physics.system import System
 from .. import saving
 from ..base import Diverged, Trajectory, Twin
 from . import transfer
-from .body import Body, Place, roll, system, time_step
+from .body import Body, Place, system, time_step
 from .config import CORRECTED, Config, Quirks
 
 __all__ = ["PhysTwinTwin"]
@@ -27,6 +30,7 @@ class PhysTwinTwin(Twin):
     config: Config
     device: str = "cpu"
     transferred: bool = False
+    latest: Latest = field(default_factory=Latest, init=False, repr=False, compare=False)
 
     def rollout(self, controllers: np.ndarray) -> Trajectory:
         controllers = np.asarray(controllers, float)
@@ -38,21 +42,33 @@ class PhysTwinTwin(Twin):
         return found
 
     def rollouts(self, controllers: np.ndarray) -> list[Trajectory | Diverged]:
-        systems, step = [], None
-        for path in np.asarray(controllers, float):
-            systems.append(system(self.body, replace(self.place, controllers=path), self.config))
-        if self.transferred and self.config.quirks.fixed_grip:
-            systems = [one.with_values(**({"collision_dist": transfer.CONTACT} if self.place.self_collision else {})) for one in systems]
-            step = transfer.SUBSTEPS, transfer.STEP
-        quiet = replace(self.config, quirks=replace(self.config.quirks, acceleration_loss=False))
-        if step is None and len(systems) > 1:  # where hands go does not limit it: chosen once for all
-            step = time_step(systems[:1], self.place.fps, self.config)
-        found = []
-        for motion in roll(systems, self.place.fps, controllers.shape[1], quiet, self.device, step=step):
-            bad = motion.diverged
-            blown = Diverged(f"the simulation blew up in frame {bad}", bad) if bad >= 0 else None
-            found.append(blown or Trajectory(motion.positions.float().cpu().numpy(), self.place.counts))
+        paths = np.asarray(controllers, float)
+        found: list[Trajectory | Diverged | None] = [None] * len(paths)
+        starts, group = np.unique(paths[:, 0].reshape(len(paths), -1), axis=0, return_inverse=True)
+        for k in range(len(starts)):  # springs to hands have the lengths of frame 0: where hands begin alike there is one system
+            own = np.flatnonzero(group.ravel() == k)
+            batch = self._batch(paths[own[0], :1], len(own))
+            rolled = batch.rollout(paths.shape[1], batch.along(paths[own]))
+            for row, positions, bad in zip(own, rolled.positions, rolled.diverged, strict=True):
+                blown = Diverged(f"the simulation blew up in frame {bad}", int(bad)) if bad >= 0 else None
+                found[row] = blown or Trajectory(positions.float().cpu().numpy(), self.place.counts)
         return found
+
+    def placed(self, start) -> tuple[System, tuple[int, float] | None]:
+        """(the body with its hands at ``start`` (1, C, 3) m; (substeps a frame, seconds each) where stability does not choose them)."""
+        one = system(self.body, replace(self.place, controllers=start), self.config)
+        if not (self.transferred and self.config.quirks.fixed_grip):
+            return one, None
+        near = {"collision_dist": transfer.CONTACT} if self.place.self_collision else {}
+        return one.with_values(**near), (transfer.SUBSTEPS, transfer.STEP)
+
+    def _batch(self, start, count: int) -> Batch:
+        def made():
+            one, step = self.placed(start)
+            substeps, dt = step or time_step([one], self.place.fps, self.config)
+            return Batch([one] * count, fps=self.place.fps, substeps=substeps, dt=dt, device=self.device)
+
+        return self.latest.of((start.tobytes(), count), made)
 
     def retarget(self, target: Observed) -> PhysTwinTwin:
         """The body on ``target``'s frame 0, stress-free there, its hand springs drawn anew.
