@@ -126,6 +126,11 @@ class Cloth(Body):
         layered = np.unique(pairs[~np.isfinite(ways[pairs[:, 0], pairs[:, 1]])])
         return len(layered) > FOLDED * len(self.nodes)
 
+    def outward(self, place):
+        """From its middle on, to the rim that is nearer."""
+        way = place - self.nodes.mean(0)
+        return way / max(np.linalg.norm(way), 1e-9)
+
     @cached_property
     def points(self) -> Points:
         """Mass in the middles of edges, which integrate quadratics, near enough to each other for a smooth grip; the skin at nodes."""

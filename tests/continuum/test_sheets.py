@@ -172,6 +172,18 @@ def test_a_bar_holds_a_strip_along_its_edge():
     assert not firm[at[:, 0] > 0.06].any()
 
 
+def test_a_bar_that_holds_farther_out_does_so_at_the_other_end(truth):
+    # 4 mm out at the one edge are 4 mm out at the opposite one, which is the other way in the room; along the bar nothing is carried over
+    scenes = []
+    for far in (0.008, SIZE[0] - 0.008):
+        edge = np.column_stack([np.full(16, far), np.linspace(0, SIZE[1], 16), np.zeros(16)])
+        barred = replace(waved(), controllers=edge + np.linspace(0, 0.12, FRAMES)[:, None, None] * [0, 0, 1.0], grips=np.full(16, -1))
+        scenes.append(Scene.of(barred, Cloth.drawn(barred, barred.points, 120)))
+    twin = ContinuumTwin(scenes[0], TRUE | {"grip0_shift_x": -0.004, "grip0_shift_y": 0.01, "grip0_reach": 1.0})
+    found = twin._grips(scenes[1])
+    assert found["grip0_shift_x"] == pytest.approx(0.004, abs=3e-4) and abs(found["grip0_shift_y"]) < 5e-4
+
+
 def test_what_was_simulated_is_fitted(truth):
     # on the mesh that it was made on, from 0.5 mm of noise on 336 tracks in 16 frames: within a tenth, though four other numbers are free
     recording, scene, _ = truth
