@@ -5,6 +5,7 @@ import shutil
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from blocks import lifted
 from hypothesis import given, settings
@@ -512,6 +513,7 @@ def test_intervals_are_students():
     mean, half = difference(first, second)
     low, high = ttest_rel(first, second).confidence_interval(0.95)
     assert (mean - half, mean + half) == pytest.approx((low, high))
+    assert difference(pd.Series([np.nan, 1.0]), pd.Series([2.0, 0.5]))[0] == 0.5  # as a table's columns are, by place
     assert difference([1, np.nan], [0.5, 2])[0] == 0.5 and np.isnan(difference([np.nan], [1])[0])
 
 

@@ -29,7 +29,7 @@ def difference(first: Sequence[float], second: Sequence[float]) -> tuple[float, 
     """
     from scipy.stats import t
 
-    apart = np.subtract(first, second)
+    apart = np.subtract(np.asarray(first, float), np.asarray(second, float))
     apart = apart[np.isfinite(apart)]
     if not len(apart):
         return float("nan"), float("nan")

@@ -25,7 +25,8 @@ def brought(scene: Scene):
     place = middle + flat + aside + random.uniform(*RISE) * scene.axes[2]
 
     def wanted(asked):
-        own = np.linalg.norm(asked - scene.hand, axis=1) >= far
+        away = np.linalg.norm(asked - scene.hand, axis=1)
+        own = away >= min(far, away.max())  # of few points none may be as far out as the end is
         return np.where(own[:, None], place, np.nan) * np.ones(3)
 
     return wanted
