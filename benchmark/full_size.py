@@ -3,7 +3,7 @@
 python -m twinbench.benchmark.full_size                    on the GPU: 848 x 480 pixels, 3 views, 100 frames, 2,000 and 5,000 particles
 python -m twinbench.benchmark.full_size --small            the same steps on a CPU, small enough to be tried in a minute
 
-The recordings are synthetic (MuJoCo), made anew each time, held in memory. Nothing is read from or written to a cache. What takes long is
+The recordings are synthetic, made anew each time, held in memory. Nothing is read from or written to a cache. What takes long is
 measured for a share of its steps; the table says how many of how many, and the seconds beside are those of all.
 """
 
@@ -89,14 +89,14 @@ class InMemory:
 
 
 def recorded(size: Size):
-    """A thick plush that is lifted and shaken for all of the ``size.frames`` frames: its scenario, images included."""
+    """A thick plush that is lifted and shaken for all of the ``size.frames`` frames, or as far as they go: its scenario, with images."""
     from ..datasets.synthetic.generate import FPS, record
     from ..datasets.synthetic.interactions import LIFT
     from ..datasets.synthetic.objects import Plush
     from ..datasets.synthetic.sensor import Sensor
 
-    body = Plush(name="thick plush", size=(0.28, 0.09, 0.04), cells=(14, 4, 2))
-    slower = size.frames / FPS / LIFT.times[-1]
+    body = Plush(name="thick plush", size=(0.28, 0.09, 0.04))
+    slower = max(size.frames / FPS / LIFT.times[-1], 1.0)
     lift = replace(LIFT, grip=(-0.11, 0.0, 0.016), times=tuple(slower * t for t in LIFT.times))
     sensor = Sensor(width=size.width, height=size.height, focal=FOCAL * size.height, oversample=1)
     made = record("full_size", body, lift, frames=size.frames, spacing=size.spacing, sensor=sensor)

@@ -11,7 +11,6 @@ from twinbench.benchmark.full_size_steps import Clock, Step, Watch
 
 @pytest.fixture(scope="module")
 def scenario():
-    pytest.importorskip("mujoco")
     return recorded(replace(SMALL, frames=6))
 
 

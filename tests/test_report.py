@@ -256,20 +256,22 @@ def test_pictures_are_what_was_recorded_and_rendered(sample):
         scenario = opened.collection.load(one["name"])
         pictures = one["pictures"]
         assert one["kept"] == list(range(scenario.frame_count)) and set(pictures["methods"]) == {"static", "rigid"}
-        for frame in (0, 20, 47):  # small pictures are kept exactly
-            np.testing.assert_array_equal(picture(pictures["recorded"][frame]), scenario.images.color(0, frame))
+        for frame in (0, 20, 47):  # small pictures are kept exactly, larger ones lose a little, as below
+            seen = scenario.images.color(0, frame)
+            assert abs(picture(pictures["recorded"][frame]).astype(int) - seen).mean() < 3
+            np.testing.assert_array_equal(picture(encoded(seen[:100])), seen[:100])
         # what holds still looks the same in every frame; what moves does not
         assert len(set(pictures["methods"]["static"])) == 1 < len(set(pictures["methods"]["rigid"]))
         # in frame 0 the twin's points are the recorded ones: their pixels lie in the outline or next to it, and the outline holds the mask
         corners = np.array(re.findall(r"[\d.]+", re.findall(r"M([^Z]*)Z", pictures["outlines"][0])[0]), np.float32).reshape(-1, 2)
         assert cv2.contourArea(corners) == pytest.approx(scenario.images.mask(0, 0).sum(), rel=0.15)  # corners are cut
-        drawn = np.argwhere(picture(pictures["methods"]["static"][0]).max(2) > 0)
+        drawn = np.argwhere(picture(pictures["methods"]["static"][0]).max(2) > 25)  # a tenth: what is lost by packing rings around the body
         inside = [cv2.pointPolygonTest(corners, (x + 0.5, y + 0.5), True) > -2 for y, x in drawn.tolist()]
         assert len(inside) > 50 and np.mean(inside) > 0.8  # a hand hides the rest
 
 
 def test_the_sample_stays_small(sample):
-    # 48 frames of 40 x 54 pixels, three panels and four exhibits: 576 pictures of some 1 kB
+    # 48 frames of 160 x 120 pixels, three panels and four exhibits: 576 pictures of some 1 kB
     assert sample.path.stat().st_size < 2_000_000
     assert [file.name for file in sample.path.parent.iterdir() if file.name != "cache"] == ["report.html"]  # nothing temporary is left
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from twinbench.datasets.synthetic.generate import generate, record
 from twinbench.datasets.synthetic.interactions import LIFT
 from twinbench.datasets.synthetic.objects import Plush
 from twinbench.datasets.synthetic.resolved import resolved, simulate
@@ -39,10 +38,3 @@ def test_what_the_hand_holds_follows_it_and_the_rest_lies_on_the_table():
     np.testing.assert_allclose(motion.hand_rotation, turned, atol=1e-9)
     assert motion.vertices[..., 2].min() > -1e-3
     assert motion.vertices[-1, :, 2].max() > 0.02 + motion.vertices[0, :, 2].max()
-
-
-def test_elements_are_chosen_by_name():
-    made = record("bar", BAR, LIFTED, frames=4, solids="hexahedra")
-    assert made.motion.vertices.shape[1] == len(resolved(BAR).vertices)
-    with pytest.raises(ValueError, match="did you mean 'hexahedra'"):
-        generate("plush_lift", solids="hexahedron")

@@ -5,17 +5,16 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .generate import SCENES, SOLIDS, generate, write
+from .generate import SCENES, generate, write
 
 
 def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(prog="python -m twinbench.datasets.synthetic", description=__doc__)
     parser.add_argument("out", type=Path, help="folder for the recordings; recordings of the same names in it are replaced")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--solids", choices=SOLIDS, default=SOLIDS[0], help="hexahedra: a truth that converges under refinement")
     options = parser.parse_args(arguments)
     for name in SCENES:
-        recording = generate(name, seed=options.seed, solids=options.solids)
+        recording = generate(name, seed=options.seed)
         write(recording, options.out / name, overwrite=True)
         counts = "{} tracked, {} surface and {} interior points".format(*recording.scenario.counts)
         print(f"{options.out / name}: {recording.scenario.frame_count} frames, {counts}")

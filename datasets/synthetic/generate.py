@@ -16,13 +16,12 @@ from .interactions import DRAG, LIFT, Interaction
 from .objects import Plush
 from .render import normals
 from .sensor import Scene, Sensor
-from .simulate import GRAVITY, Motion, simulate, to_world
+from .simulate import GRAVITY, Motion, to_world
 from .tracking import Attached, Footage, annotate, film, hand_points, measure, rounded, thin
 
-__all__ = ["SCENES", "SOLIDS", "Recording", "generate", "record", "write"]
+__all__ = ["SCENES", "Recording", "generate", "record", "write"]
 
 SCENES = {"plush_lift": (Plush(), LIFT), "plush_drag": (Plush(), DRAG)}
-SOLIDS = ("tetrahedra", "hexahedra")
 FPS = 30.0
 TRAIN = 0.7  # share of the frames that may be fitted, as in published cases
 CANDIDATES = 10_000  # on the skin, and half as many inside, before they are thinned
@@ -42,19 +41,15 @@ class Recording:
     truth: np.ndarray
 
 
-def generate(
-    name: str, *, seed: int = 0, frames: int = 48, spacing: float = 0.007, sensor: Sensor | None = None, solids: str = "tetrahedra"
-) -> Recording:
-    """The recording ``name`` of ``SCENES``; the same arguments give the same arrays on one machine.
+def generate(name: str, *, seed: int = 0, frames: int = 48, spacing: float = 0.007, sensor: Sensor | None = None) -> Recording:
+    """The recording ``name`` of ``SCENES``, in quadratic hexahedra; the same arguments give the same arrays on one machine.
 
-    ``solids`` is what the truth is made of: MuJoCo's linear tetrahedra, as in the shipped sample, which bend too stiffly, or quadratic
-    hexahedra, which converge. Elsewhere positions may differ by some 0.1 mm, to which MuJoCo's solver is exact. Raises ValueError for an
-    unknown name or kind of element.
+    Raises ValueError for an unknown name.
     """
     if name not in SCENES:
         raise ValueError(f"unknown synthetic recording {name!r}; {nearest(name, SCENES)}")
     body, interaction = SCENES[name]
-    return record(name, body, interaction, seed=seed, frames=frames, spacing=spacing, sensor=sensor, solids=solids)
+    return record(name, body, interaction, seed=seed, frames=frames, spacing=spacing, sensor=sensor)
 
 
 def record(
@@ -66,21 +61,15 @@ def record(
     frames: int = 48,
     spacing: float = 0.007,
     sensor: Sensor | None = None,
-    solids: str = "tetrahedra",
 ) -> Recording:
     """Simulate, film and track ``frames`` frames; ``spacing`` is the least distance between particles in frame 0 [m]."""
-    if solids not in SOLIDS:
-        raise ValueError(f"unknown solids {solids!r}; {nearest(solids, SOLIDS)}")
     if interaction.grip is None:
         raise ValueError(f"interaction {interaction.name}: a recording needs a hand, but grip is None")
     if frames < 3 or not spacing > 0:
         raise ValueError(f"a recording needs at least 3 frames and a spacing > 0, got {frames} and {spacing}")
     sensor = sensor or Sensor()
     rng = np.random.default_rng([seed, *name.encode()])
-    if solids == "hexahedra":
-        body, motion = resolved.resolved(body), resolved.simulate(body, interaction, frames=frames)
-    else:
-        motion = simulate(body, interaction, frames=frames, fps=FPS)
+    body, motion = resolved.resolved(body), resolved.simulate(body, interaction, frames=frames)
     hand = Hand(elbow=(0.1 * np.cos(interaction.arm), 0.1 * np.sin(interaction.arm), 0.16))
     footage = film(sensor, _scenes(body, motion, hand), rng)
 

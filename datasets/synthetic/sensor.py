@@ -62,9 +62,9 @@ class Sensor:
     oversample     samples of colour across a pixel; odd, so that its centre is one of them
     """
 
-    width: int = 54
-    height: int = 40
-    focal: float = 67.0
+    width: int = 160
+    height: int = 120
+    focal: float = 201.0
     principal: tuple[float, float] = (0.8, -0.6)
     distance: float = 0.7
     elevation: float = 0.65

@@ -1,4 +1,4 @@
-"""MuJoCo simulates the body: a tetrahedral flex on a table, its gripped vertices tied to a hand that follows a prescribed path."""
+"""MuJoCo simulates the studio's bodies: a tetrahedral flex on a table, its gripped vertices tied to a hand on a prescribed path."""
 
 from __future__ import annotations
 

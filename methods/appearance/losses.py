@@ -19,10 +19,12 @@ def ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     window = window / window.sum()
     channels = a.shape[2]
     a, b = a.permute(2, 0, 1), b.permute(2, 0, 1)
-    many = torch.cat([a, b, a * a, b * b, a * b])[:, None]
-    many = torch.nn.functional.conv2d(many, window.view(1, 1, -1, 1), padding=(WINDOW // 2, 0))
-    many = torch.nn.functional.conv2d(many, window.view(1, 1, 1, -1), padding=(0, WINDOW // 2))
-    ma, mb, aa, bb, ab = many[:, 0].split(channels)
+    many = torch.cat([a, b, a * a, b * b, a * b])
+    # images as channels, each with the window of its own: as images of one channel the way back takes twenty times as long on a CPU
+    each = window.expand(len(many), 1, 1, WINDOW)
+    many = torch.nn.functional.conv2d(many, each.mT, padding=(WINDOW // 2, 0), groups=len(many))
+    many = torch.nn.functional.conv2d(many, each, padding=(0, WINDOW // 2), groups=len(many))
+    ma, mb, aa, bb, ab = many.split(channels)
     top = (2 * ma * mb + C1) * (2 * (ab - ma * mb) + C2)
     return (top / ((ma**2 + mb**2 + C1) * (aa - ma**2 + bb - mb**2 + C2))).mean()
 

@@ -201,8 +201,9 @@ def test_points_that_are_no_numbers_are_refused():
 def test_the_sample_is_a_solid():
     """The volume of the plush's own mesh, but for its edges: between points 7 mm apart a chord cuts off up to (7 mm / 2)^2 / 2 of them."""
     from twinbench.datasets.synthetic.objects import Plush
+    from twinbench.datasets.synthetic.resolved import resolved
 
-    shape = Plush()
+    shape = resolved(Plush())
     sides = shape.vertices[shape.tetrahedra[:, 1:]] - shape.vertices[shape.tetrahedra[:, :1]]
     volume, edges = np.linalg.det(sides).sum() / 6, 4 * sum(shape.size)
     collection = open_collection(SAMPLE)

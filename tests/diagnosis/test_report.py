@@ -214,9 +214,9 @@ def test_a_wrong_diagnosis_is_refused_and_the_old_report_stays(diagnosed, tmp_pa
 @pytest.mark.parametrize(
     ("name", "array", "message"),
     [
-        ("baseline_0", np.zeros((48, 3, 3)), r"baseline_0 must have shape \(48, 173, 3\), got \(48, 3, 3\)"),
+        ("baseline_0", np.zeros((48, 3, 3)), r"baseline_0 must have shape \(48, 175, 3\), got \(48, 3, 3\)"),
         ("controllers_1", np.zeros((4, 30, 3)), r"controllers_1 must have shape \(48, any, 3\)"),
-        ("observed_0", np.zeros((48, 173)), r"observed_0 must have shape \(any, any, 3\)"),
+        ("observed_0", np.zeros((48, 175)), r"observed_0 must have shape \(any, any, 3\)"),
         ("up", np.zeros(2), "up must be 3 finite numbers"),
         ("ground", [0, 0, 1, np.nan], "ground must be 4 finite numbers"),
     ],
@@ -365,6 +365,6 @@ def test_the_page_draws_hostile_and_missing_values(diagnosed, tmp_path, browser)
     result["evidence"]["recordings"][0]["name"] = HOSTILE
     result["evidence"]["recordings"][1]["train_end"] = None
     result["evidence"]["curves"] = {HOSTILE: {"baseline": [None] * 48, "extended": None, "noise_floor": None}}
-    evidence = {**diagnosed[1], "baseline_0": np.full((48, 173, 3), np.nan), "force_0": np.zeros((48, 173, 3))}
+    evidence = {**diagnosed[1], "baseline_0": np.full((48, 175, 3), np.nan), "force_0": np.zeros((48, 175, 3))}
     state, said, _ = opened_with(browser, tmp_path, result, evidence)
     assert state == "drawn" and said == []
