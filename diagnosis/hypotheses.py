@@ -12,7 +12,8 @@ import numpy as np
 from ..datasets.plugins import discover, warn
 from ..physics import terms as ours
 from ..physics.catalogue import KIND, terms
-from ..physics.terms.base import CELLS, Term
+from ..physics.terms.base import Term
+from ..physics.terms.stages import CELLS
 from ..physics.trials import fault
 from .locate import peaks
 from .model import Knob, Simulator

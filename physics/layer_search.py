@@ -24,7 +24,7 @@ import warp as wp
 
 from .hinges import incidence
 from .layers import ACCELERATION, CARRIED, nearest_places
-from .terms.base import STAGES
+from .terms.stages import STAGES
 
 __all__ = ["SEARCH", "Pairs", "seek_layers"]
 

@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 from .cell_lanes import ROWS, abreast
 from .contacts import seek
 from .layer_search import Pairs, seek_layers
-from .terms.base import CELLS, SHEETS, STAGED
+from .terms.stages import CELLS, SHEETS, STAGED
 
 __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
 

@@ -12,7 +12,8 @@ from .grids import Grid
 from .hinges import Ropes
 from .points import Points
 from .sheets import Sheet
-from .terms.base import STAGES, Term
+from .terms.base import Term
+from .terms.stages import STAGES, SolidTerm
 
 __all__ = ["System"]
 
@@ -274,6 +275,6 @@ def _checked_terms(terms):
             if owner.setdefault(name, term.name) != term.name:
                 raise ValueError(f"parameter names must be unique in a system, got {name} in both {owner[name]} and {term.name}")
     altering = [t.name for t in terms if t.stage in ("flow", "material", "branch")]
-    if altering and not any(t.moduli for t in terms):
+    if altering and not any(isinstance(t, SolidTerm) and t.moduli is not None for t in terms):
         raise ValueError(f"{altering[0]} alters the elasticity of a solid and needs a term that has one, such as neo_hookean; got none")
     return terms

@@ -10,7 +10,7 @@ from .facets import solid_facets
 from .grids import embed
 from .system import System
 from .terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, KelvinVoigt, LinearDrag, NeoHookean, Springs, Term
-from .terms.base import CELLS
+from .terms.stages import CELLS
 from .topology import rope_hinges
 
 __all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "fault", "run", "thrown"]

@@ -317,8 +317,12 @@ FILES = {
     "metrics/mine.py": ("METRIC: int = 5", "metric 'mine' (metrics/mine.py) is left out: a metric must be an instance"),
     "datasets/bytes.py": (b"LAYOUT = \xff", "layout 'bytes' (datasets/bytes.py) is left out: SyntaxError"),
     "physics/terms/mine.py": (
-        "from .base import Term\nclass Mine(Term):\n    name, stage = 'mine', 'body'",
+        "from .stages import BodyTerm\nclass Mine(BodyTerm):\n    name = 'mine'",
         "term 'mine' (physics/terms/mine.py) is left out: law must be a function with @wp.func, got None",
+    ),
+    "physics/terms/yours.py": (
+        "from .base import Term\nclass Yours(Term):\n    name, stage = 'yours', 'body'",
+        "term 'yours' (physics/terms/yours.py) is left out: a term of stage 'body' must be a subclass of BodyTerm",
     ),
 }
 

@@ -29,7 +29,7 @@ from ...physics.terms import (
     SoftGrip,
     Springs,
 )
-from ...physics.terms.base import CELLS, SHEETS
+from ...physics.terms.stages import CELLS, SHEETS
 from ...physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .checking import Skipped, require
 

@@ -8,6 +8,7 @@ from ...physics.cells import point_sites
 from ...physics.materials import point_twin
 from ...physics.solids import gradients, strain_modes
 from ...physics.system import System
+from ...physics.terms.stages import SolidTerm
 
 __all__ = ["cell_stress", "node_stress", "sheet_stress", "spring_pulls", "von_mises"]
 
@@ -58,7 +59,7 @@ def cell_stress(system: System, nodes, memory=None) -> np.ndarray:
 
 def _lateral(system):
     """nu / (1 - nu) at small strains, as the cells bend with."""
-    known = [t.twin_moduli(**t.values) for t in system.terms if t.stage == "solid" and t.moduli is not None]
+    known = [t.twin_moduli(**t.values) for t in system.terms if isinstance(t, SolidTerm)]
     mu, lame = (sum(m) for m in zip(*known, strict=True))
     return lame / (lame + 2 * mu)
 

@@ -5,8 +5,9 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .ground import Ground, plane, rebound, touch
+from .stages import MoveTerm
 
 __all__ = ["SoftGround"]
 
@@ -26,7 +27,7 @@ def sink(x: Any, v: Any, dt: Any, p: Any, o: int):
     return rebound(x, after, dt, n, height + pad, elasticity, friction)
 
 
-class SoftGround(Term):
+class SoftGround(MoveTerm):
     """Above the hard plane, now ``pad`` deeper, a layer pushes up by up to ``firm`` per mass, in proportion to how far it is pressed.
 
     v_n += K s dt with s = -h / d in [0, 1], and friction takes up to mu K s dt of the slip; then the ground's impulses at the plane
@@ -34,7 +35,6 @@ class SoftGround(Term):
     """
 
     name = "soft_ground"
-    stage = "move"
     parameters = (
         *Ground.parameters,
         Parameter("ground_pad", 0.0, 0.0, 0.1, "m", "thickness of the soft layer"),
