@@ -13,6 +13,7 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,7 @@ def told(label: dict, grid_axes) -> tuple[tuple, list[Unknown], dict]:
     Raises KeyError for an effect that no term of a solid says.
     """
     effect, known = label["effect"], label["parameters"]
-    place = next((p for p in label["place"] if p), None)
+    place: Any = next((p for p in label["place"] if p), None)
     if effect == "viscoelastic":
         return (terms.Maxwell(),), [_amount("maxwell_share", 1.0, 0.05, 20.0, "-"), _amount("maxwell_time", 0.15, 0.01, 2.0, "s")], {}
     if effect == "added_mass":
@@ -112,10 +113,13 @@ def case_row(folder: str, case: str, seed: int = 0) -> dict:
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     truth = np.load(root / "truth" / f"{case}.npz")
     home, away = (open_scenario(str(root / case / part)) for part in ("fit", "transfer"))
-    row = dict(set=root.name, case=case, effect=label["effect"], moved=1e3 * label["displacement_transfer"], seconds=time.process_time())
+    row: dict[str, Any] = dict(
+        set=root.name, case=case, effect=label["effect"], moved=1e3 * label["displacement_transfer"], seconds=time.process_time()
+    )
     method, config = Continuum(), Continuum.presets["quick"]
     sound = method.fitted([home.observed()], config, seed=seed)
-    extra, amounts, fixed = told(label, sound.scene.body.grid.axes)
+    solid: Any = sound.scene.body
+    extra, amounts, fixed = told(label, solid.grid.axes)
     knowing = method.fitted(
         [home.observed()],
         config,
@@ -156,7 +160,7 @@ def _error(twin, scenario, places, first):
 def main(arguments=None) -> None:
     import pandas as pd
 
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_oracle", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_oracle", description=str(__doc__).split("\n")[0])
     parser.add_argument("set", help="folder of cases with labels.json and truth/")
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--jobs", type=int, default=1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
+from typing import Any
 
 import warp as wp
 
@@ -48,13 +49,15 @@ def _check_name(of: str, name) -> None:
 
 def _check_law(term: type[Term]) -> None:
     for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": "q" in ARGUMENTS.get(term.stage, ())}.items():
-        law = getattr(term, name, None)
-        if not wanted and law is not None:
-            raise ValueError(f"a term of stage {term.stage!r} has no {name}")
-        if wanted and not isinstance(law, wp.Function):
+        law: Any = getattr(term, name, None)
+        if not wanted:
+            if law is not None:
+                raise ValueError(f"a term of stage {term.stage!r} has no {name}")
+            continue
+        if not isinstance(law, wp.Function):
             raise ValueError(f"{name} must be a function with @wp.func, got {law!r}")
         arguments = [*ARGUMENTS.get(term.stage, ()), *(["dt"] if name == "evolve" else []), "p", "o"]
-        if wanted and len(inspect.signature(law.func).parameters) != len(arguments):
+        if len(inspect.signature(law.func).parameters) != len(arguments):
             raise ValueError(f"{name} must take ({', '.join(arguments)}), as stage {term.stage!r} says, got {inspect.signature(law.func)}")
     if callable(getattr(term, "prepare", None)) != (term.stage == "setup"):
         raise ValueError(f"a term of stage {term.stage!r} must have {'a' if term.stage == 'setup' else 'no'} prepare")

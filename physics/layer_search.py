@@ -46,7 +46,7 @@ class Pairs(SimpleNamespace):
         """No candidates."""
         if "none" in vars(batch.layer_scratch):
             return cls(**batch.layer_scratch.none)
-        made = dict(dtype=torch.int32, device=batch.device)
+        made: dict[str, Any] = dict(dtype=torch.int32, device=batch.device)
         batch.layer_scratch.none = dict(
             pair=torch.zeros((0, 4), **made),
             pair_edges=torch.zeros(0, **made),

@@ -331,7 +331,8 @@ def test_a_broken_file_in_a_clone_is_one_named_warning(tmp_path, python):
     root, package = Path(__file__).resolve().parents[1], tmp_path / "site" / "twinbench"
     for room in ("benchmark", "datasets", "diagnosis", "methods", "metrics", "physics"):
         shutil.copytree(root / room, package / room, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(root / "__init__.py", package)
+    for file in ("__init__.py", "spelling.py"):
+        shutil.copy(root / file, package)
     for name, (text, _) in FILES.items():
         (package / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     done = python("-c", "import sys; from twinbench.benchmark.cli import main; sys.exit(main())", "list", "--terms")

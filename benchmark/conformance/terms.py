@@ -98,6 +98,7 @@ def a_small_effect_is_nearly_linear(term):
     if term in (SelfCollision, SoftGround):  # particles meet or they do not; a pad thinner than the way of a substep is missed
         raise Skipped("it begins with a jump")
     tries = SMALL[2:] if term.stage == "move" or term in (GroundAdhesion, GroundPose) else SMALL[1:] if term.stage == "hinge" else SMALL
+    scale, size, off = 0.0, 1.0, 0.0
     for scale, table in tries:
         none, one, two = (run(term, share * scale, table) for share in (0, 1, 2))
         size, off = np.linalg.norm(two - none), np.linalg.norm((two - none) - 2 * (one - none))

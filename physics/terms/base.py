@@ -14,7 +14,7 @@ from abc import ABC
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
-from ...datasets.collection import nearest
+from ...spelling import nearest
 from ..parameters import Parameter
 
 __all__ = ["Effect", "Term"]

@@ -82,4 +82,6 @@ class DirectionalGround(MoveTerm):
         first /= np.linalg.norm(first)
         a, b = v @ first, v @ np.cross(n, first)
         more = (friction_along * (a * a - b * b) + friction_diagonal * 2 * a * b) / max(a * a + b * b, 1e-12)
-        return Ground.twin(x, v, dt, collide_elas, max(collide_fric + more, 0.0), *n, ground_offset)
+        friction = max(collide_fric + more, 0.0)
+        plane = ground_normal_x, ground_normal_y, ground_normal_z, ground_offset
+        return Ground.twin(x, v, dt, collide_elas, friction, *plane)

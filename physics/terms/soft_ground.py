@@ -74,4 +74,5 @@ class SoftGround(MoveTerm):
             slide = v - n * (n @ v)
             slide = slide * max(0.0, 1 - collide_fric * press / max(np.linalg.norm(slide), 1e-6))
             v = n * (n @ v + press) + slide
-        return Ground.twin(x, v, dt, collide_elas, collide_fric, *n, ground_offset - ground_pad)
+        plane = ground_normal_x, ground_normal_y, ground_normal_z, ground_offset - ground_pad
+        return Ground.twin(x, v, dt, collide_elas, collide_fric, *plane)

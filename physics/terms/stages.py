@@ -60,7 +60,7 @@ class KernelTerm(Term):
 
     @staticmethod
     @abstractmethod
-    def twin(*given, **parameters):
+    def twin(*given, **parameters) -> Any:
         """The same law in numpy."""
 
 
@@ -74,7 +74,7 @@ class RememberingTerm(KernelTerm):
 
     @staticmethod
     @abstractmethod
-    def twin_evolve(*given, **parameters):
+    def twin_evolve(*given, **parameters) -> Any:
         """The same memory in numpy."""
 
 
@@ -286,7 +286,7 @@ class SetupTerm(Term):
 
     @staticmethod
     @abstractmethod
-    def prepare(batch, inputs, values):
+    def prepare(batch, inputs, values) -> Any:
         """``inputs`` (``physics.inputs``) of a ``batch`` with what the term's ``values``, name -> (systems,), make of them."""
 
 

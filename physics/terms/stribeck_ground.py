@@ -63,4 +63,5 @@ class StribeckGround(MoveTerm):
         n = np.array([ground_normal_x, ground_normal_y, ground_normal_z])
         slide = (v - n * (n @ v)) / friction_speed
         friction = collide_fric + friction_excess * np.exp(-(slide @ slide))
-        return Ground.twin(x, v, dt, collide_elas, friction, *n, ground_offset)
+        plane = ground_normal_x, ground_normal_y, ground_normal_z, ground_offset
+        return Ground.twin(x, v, dt, collide_elas, friction, *plane)
