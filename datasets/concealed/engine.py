@@ -223,7 +223,7 @@ class World(ElasticWorld):
         data.qpos[q : q + 3], data.qvel[v : v + 3], data.qvel[v + 3 : v + 6] = position, velocity, turning
         self.mujoco.mju_mat2Quat(data.qpos[q + 3 : q + 7], rotation.ravel())
 
-    def begin(self, paths):
+    def begin(self, paths=()):
         super().begin(paths)
         self.clamps = _Clamps(self) if self.body.dim == 1 else None
         self.speeds = [(np.diff(moves, axis=0) / self.dt, spin(turns) / self.dt) for moves, turns in paths]

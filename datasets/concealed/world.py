@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -142,9 +142,9 @@ class World(ABC):
         """(S,) s, when poses of the hands are asked for, in ``settle`` steps before frame 0 and ``steps`` after it."""
         return np.arange(-settle, steps + 2) * self.dt
 
-    def begin(self, paths: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    def begin(self, paths: Sequence[tuple[np.ndarray, np.ndarray]] = ()) -> None:
         """The hands will go along ``paths``, and laws have said what they want."""
-        self.paths = paths
+        self.paths = list(paths)
 
     @abstractmethod
     def place(self, step: int) -> None:

@@ -142,13 +142,13 @@ class World(AnyWorld):
 
     def times(self, settle, steps):
         self.poses = 2 * self.small
-        return (np.arange((settle + steps + 1) * self.poses + 1) / self.poses - settle) * self.dt
+        self.count = (settle + steps + 1) * self.poses + 1
+        return (np.arange(self.count) / self.poses - settle) * self.dt
 
-    def begin(self, paths):
+    def begin(self, paths=()):
         super().begin(paths)
-        self.way = np.array([origin + moves for origin, (moves, _) in zip(self.origins, paths, strict=True)])
-        self.way = self.way.reshape(len(paths), -1, 3)
-        self.turns = np.array([turns for _, turns in paths]).reshape(len(paths), -1, 3, 3)
+        self.way = np.array([origin + moves for origin, (moves, _) in zip(self.origins, paths, strict=True)]).reshape(-1, self.count, 3)
+        self.turns = np.array([turns for _, turns in paths]).reshape(-1, self.count, 3, 3)
 
     def place(self, step):
         self.rotations = self.turns[:, step * self.poses]

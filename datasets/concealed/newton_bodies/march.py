@@ -127,7 +127,7 @@ class World(ElasticWorld):
 
     # --- a step -----------------------------------------------------------------------------------------------------------------------
 
-    def begin(self, paths):
+    def begin(self, paths=()):
         """Laws have said what they want: give it to Newton."""
         super().begin(paths)
         if self.bends and self.body.resolved:
