@@ -49,7 +49,7 @@ _PUBLIC = {
     "Comparison": "benchmark.compare",
     "diagnose": "diagnosis.diagnose",
 }
-__all__ = list(_PUBLIC)
+__all__ = list(_PUBLIC)  # pyright: ignore[reportUnsupportedDunderAll] - the names above, imported when they are asked for
 
 
 if not TYPE_CHECKING:  # or any name would be taken for one that is there

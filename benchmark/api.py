@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from ..datasets.collection import Collection
 from ..methods.base import Method
@@ -203,7 +204,7 @@ def _experiments(preset, methods, metrics: Mapping[str, Metric], tasks: Sequence
     if ablation:
         known("ablation", [ablation], ABLATIONS)
         found = Experiment.of(ablation, metrics, tasks=tasks)
-        return [replace(found, methods=chosen("variant", _listed(methods), found.methods))] if methods else [found]
+        return [replace(found, methods=chosen("variant", _listed(methods), dict(found.methods)))] if methods else [found]
     main = Experiment(_methods(methods or preset.methods), metrics, tuple(tasks) or tuple(TASKS))
     further = () if methods or tasks else preset.ablations
     return [main, *(Experiment.of(name, metrics) for name in further)]
@@ -217,7 +218,7 @@ def _methods(given: Methods) -> dict[str, Callable[[], Method]]:
     if isinstance(given, Mapping):
         return dict(given)
     found: dict[str, Callable[[], Method]] = {}
-    for one in [given] if isinstance(given, str | type) else given:
+    for one in [given] if isinstance(given, str | type) else given or ():
         if isinstance(one, str):
             found |= chosen_methods([one])
         elif isinstance(one, type) and issubclass(one, Method):
@@ -229,13 +230,14 @@ def _methods(given: Methods) -> dict[str, Callable[[], Method]]:
 
 def _metrics(given: Metrics) -> dict[str, Metric]:
     found: dict[str, Metric] = {}
-    for one in [given] if isinstance(given, str | Metric) else given:
+    for one in [given] if isinstance(given, str | Metric) else given or ():
         if isinstance(one, str):
             found |= chosen_metrics([one])
         elif isinstance(one, Metric):
             found[one.name] = one if type(one).__module__.startswith("twinbench.") else copy.copy(one)
-            if found[one.name] is not one:
-                found[one.name].version = f"{one.version} {_identity(type(one))}"  # nobody raises the version of what is being tried out
+            copied: Any = found[one.name]
+            if copied is not one:
+                copied.version = f"{one.version} {_identity(type(one))}"  # nobody raises the version of what is being tried out
         else:
             raise ValueError(f"metrics must be names or instances of Metric, got {one!r}")
     return found

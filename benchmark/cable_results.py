@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from ..datasets.temporary import replacing
 from ..diagnosis.fit import Fit
 from ..diagnosis.ladder import Climb
 
@@ -94,11 +94,8 @@ def _write_csv(stream, fields, rows):
 
 
 def _put(path, fill):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    with open(partial, "w", newline="") as stream:
+    with replacing(path) as temporary, temporary.open("w", newline="") as stream:
         fill(stream)
-    os.replace(partial, path)
 
 
 def markdown(found: Sequence[Found]) -> str:

@@ -11,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,8 @@ def relative_error(poses, true) -> tuple[float, float]:
     for pose, other in zip(poses[1:], true[1:], strict=True):
         off = np.linalg.inv(np.linalg.inv(true[0]) @ other) @ np.linalg.inv(poses[0]) @ pose
         worst.append((np.degrees(np.arccos(np.clip((np.trace(off[:3, :3]) - 1) / 2, -1, 1))), 1000 * np.linalg.norm(off[:3, 3])))
-    return tuple(float(x) for x in np.max(worst, axis=0))
+    degrees, millimetres = np.max(worst, axis=0)
+    return float(degrees), float(millimetres)
 
 
 def refine_row(what: str, seed: int = SEED) -> dict:
@@ -51,7 +53,7 @@ def refine_row(what: str, seed: int = SEED) -> dict:
 
     if what == "table":
         recording = film_studio("plush", "lift", seed=seed, frames=3).recording
-        true = [raw.camera_to_world for raw in recording.cameras]
+        true: list[Any] = [raw.camera_to_world for raw in recording.cameras]  # a studio knows where they stand
     else:
         recording = film_board(int(what), seed=seed, frames=1)
         true = [true_pose(camera) for camera in studio_cameras(int(what))]
@@ -76,7 +78,9 @@ def prior_row(body: str, seed: int = SEED) -> dict:
     take = film_studio(body, "lift", seed=seed, frames=3)
     rng, seen = np.random.default_rng([seed, len(body)]), []
     for raw in take.recording.cameras:
-        camera, (color, depth) = Camera(raw.intrinsics, raw.camera_to_world, raw.width, raw.height), raw.frames.background()
+        pose, background = raw.camera_to_world, raw.frames.background()
+        assert pose is not None and background is not None  # a studio has both
+        camera, (color, depth) = Camera(raw.intrinsics, pose, raw.width, raw.height), background
         empty = (color, (depth * raw.depth_unit).astype(np.float32))
         clip = Clip(raw.name, raw.frames.color(0)[None], raw.metres(0)[None], camera, take.recording.ground, empty)
         masks = masker("background").masks(clip)

@@ -11,8 +11,10 @@ import resource
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -139,7 +141,9 @@ def main(arguments=None) -> None:
         return
     options.out.mkdir(parents=True, exist_ok=True)
     done = {row["key"] for row in rows}
-    work = {f"board-{width}": (board_row, width) for width in (848, 424)} | {case.key: (measure, case) for case in PLAN}
+    work: dict[str, tuple[Callable[..., dict], Any]] = {f"board-{width}": (board_row, width) for width in (848, 424)} | {
+        case.key: (measure, case) for case in PLAN
+    }
     for key, (measured, what) in work.items():
         if key in done or (options.only and key not in options.only):
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class Score:
 def score(take: Take, built: Built) -> Score:
     """``built`` of ``take.recording`` against ``take.truth``. Cameras that were not used are left out."""
     truth, scenario, timing = take.truth, built.scenario, built.timing
+    assert timing is not None  # of several cameras
     names = [camera.name for camera in take.recording.cameras]
     used = [names.index(one.name) for one in built.quality.cameras]
     frames = timing.frames
@@ -60,7 +62,7 @@ def score(take: Take, built: Built) -> Score:
     points = _point_errors(truth, scenario, times)
     hands = scenario.controllers - hand_motion(truth.motion, scenario.controllers[0], times)
     seen, completed = _shape(truth, scenario, times[0])
-    offsets = [clock.offset for clock in timing.clocks]
+    offsets: list[Any] = [clock.offset for clock in timing.clocks]  # clocks of the studio have one
     clocks = [1000 * abs((o - offsets[0]) - (truth.clocks[c] - truth.clocks[used[0]])) for o, c in zip(offsets, used, strict=True)]
     last = points[-1][np.isfinite(points[-1])]
     return Score(

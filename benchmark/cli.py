@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from .stopping import stoppable
 from .text import shown
@@ -104,8 +104,9 @@ def _run(arguments: list[str]) -> int:
         command = tyro.cli(kind, default=given, prog=name, args=arguments[1:])
     else:
         command = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)
+    run: Any = command  # every entry of ``commands`` can be called
     with logged(command.log_level) if isinstance(command, Reproducible) else nullcontext():
-        return command()
+        return run()
 
 
 def _config(arguments: list[str]) -> str:

@@ -59,7 +59,7 @@ def rows_of(scenario, *, preset: str, seed: int) -> list[dict]:
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--preset", choices=("quick", "full"), default="quick")
     parser.add_argument("--seed", type=int, default=0)

@@ -39,5 +39,5 @@ class OnCluster(Reproducible):
         """Who does the work, where that is not this machine. Raises ValueError as ``chosen_executor`` does."""
         from .executors import chosen_executor
 
-        found = chosen_executor(self.executor, jobs=self.jobs, scheduler=self.scheduler, slurm=self.slurm)
+        found = chosen_executor(self.executor, jobs=getattr(self, "jobs", None), scheduler=self.scheduler, slurm=self.slurm)
         return found if found.remote else None

@@ -135,11 +135,11 @@ def compare(a: Results | str | PathLike, b: Results | str | PathLike) -> Compari
     no results.
     """
     found = [one if isinstance(one, Results) else read_results(Path(one)) for one in (a, b)]
-    names = tuple(str(one.folder or "results in memory") for one in found)
+    first, second = (str(one.folder or "results in memory") for one in found)
     rows = [{_key(row): row for row in one.rows} for one in found]
     metrics = [name for name in found[0].units if found[1].units.get(name) == found[0].units[name]]
     return Comparison(
-        names,
+        (first, second),
         tuple(_differences(rows[0], rows[1], metrics, found[0])),
         {name: found[0].units[name] for name in metrics},
         {name: found[0].directions[name] for name in metrics},

@@ -76,8 +76,9 @@ def answers(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu"
     done = {c.name: read_json(file) for c in cases if (file := out / c.name / "diagnosis.json").exists()}
     todo = [(c, out, preset, device) for c in cases if c.name not in done]
     for (case, *_), found in each(answer, todo, jobs=jobs, device=device):
-        done[case.name] = found
-        progress(f"{case.name}: {found['verdict']} {found.get('effect') or ''}")
+        name = Path(case).name
+        done[name] = found
+        progress(f"{name}: {found['verdict']} {found.get('effect') or ''}")
     return dict(sorted(done.items()))
 
 
@@ -88,7 +89,7 @@ def ceilings(
     files = {name: out / name / "oracle.json" for name, label in labels.items() if label["kind"] == "effect" and (data / name).is_dir()}
     todo = [(data / name, ("oracle",), preset, device, labels[name]) for name, file in files.items() if not file.exists()]
     for (case, *_), found in each(answer_case, todo, jobs=jobs, device=device):
-        write_json(files[case.name], found["oracle"])
+        write_json(files[Path(case).name], found["oracle"])
     return {name: read_json(file) for name, file in files.items()}
 
 
@@ -237,7 +238,8 @@ def _bounds(of: str, name: str) -> tuple[float | None, float | None]:
     if of == "weight" and name == "extra":
         return None, 0
     if of == "bias" and name in SEEN:
-        return (SELDOM.get(name, 0.0),) * 2
+        seldom = SELDOM.get(name, 0.0)
+        return seldom, seldom
     if of in (NONE, OTHER) and any(name.startswith(f"{usual}_") for usual in USUAL):
         return None if of == NONE else 0, 0
     return None, None

@@ -13,6 +13,7 @@ import time
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +84,8 @@ def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | Non
     evidence = gathered(twin, [recording], config, seed=seed, progress=progress)
     if kept:
         kept.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(kept / "evidence.npz", **arrays(evidence))
+        known: dict[str, Any] = arrays(evidence)
+        np.savez_compressed(kept / "evidence.npz", **known)
     answer = weighed(evidence, config, progress=progress)
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     took = dict(fit_cpu=spent, cpu=time.process_time() - begun[1], wall=time.time() - begun[0], runs=answer.runs, run_cpu=answer.seconds)
@@ -124,7 +126,8 @@ def ranks(answer: Answer, truth: str) -> tuple[float, float]:
     for one in answer.test.scores:
         best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
     linear, full = sorted(best, key=lambda name: -best[name]), list(answer.probabilities)
-    return tuple(float(names.index(truth) + 1) if truth in names else np.nan for names in (linear, full))
+    first, last = (float(names.index(truth) + 1) if truth in names else np.nan for names in (linear, full))
+    return first, last
 
 
 def _printed(case, said):
@@ -134,7 +137,7 @@ def _printed(case, said):
 def main(arguments=None) -> None:
     import pandas as pd
 
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.concealed_inference", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.concealed_inference", description=str(__doc__).split("\n")[0])
     parser.add_argument("set", help="folder of cases with labels.json")
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--jobs", type=int, default=1)

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from ..datasets.collection import Unrecognised, open_collection
 from ..datasets.temporary import replacing
@@ -42,7 +43,7 @@ def recordings_of(paths: Sequence[str]) -> dict[str, str]:
 
 def diagnose_each(
     recordings: Mapping[str, str], out: Path, executor: Executor, *, twin: str = "auto", preset: str = "quick", device: str = "cpu"
-) -> Iterator[tuple[str, dict | Exception]]:
+) -> Iterator[tuple[str, dict | BaseException]]:
     """The name of each recording (see ``recordings_of``) with what ``diagnosis.json`` in ``out``/NAME holds, or with the error of one that
     failed, as they are done. A diagnosis that is there, made with the same options, is kept; the same call goes on where it was stopped.
 
@@ -77,7 +78,8 @@ def _diagnose(path: str, folder: Path, options: Mapping[str, str], text: str) ->
     from ..diagnosis.diagnose import diagnose
 
     (folder / NAME).unlink(missing_ok=True)  # what it is written from is written last
-    found = diagnose(open_scenario(path), **options)
+    told: dict[str, Any] = dict(options)
+    found = diagnose(open_scenario(path), **told)
     found.write(folder)
     with replacing(folder / NAME) as temporary:
         temporary.write_text(text, encoding="utf-8")

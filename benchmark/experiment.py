@@ -63,7 +63,7 @@ class Experiment:
                 continue
             fits = plan(found.collection, methods=self.methods, tasks=self.tasks, seeds=seeds, scenarios=chosen)
             if fits:
-                work.append((found, with_clips(fits, found.collection, self.clips)))
+                work.append((found, with_clips(fits, found.collection, dict(self.clips))))
         return work
 
     def settings(self, budget: str, device: str) -> Settings:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..methods.appearance.gaussians import Gaussians
 from ..methods.phystwin.publish import write_twin
@@ -29,7 +30,7 @@ class Exporter(Player):
         fit = Fit(method, (name,), seed, (evaluation,))
         positions = self.play(fit, evaluation, progress=progress).positions
         made = self._method(method)
-        twin, _ = self._twin(made, fit, progress)
+        twin: Any = self._twin(made, fit, progress)[0]  # of a method that ``write_twin`` knows, or it says so
         write_twin(twin, folder, positions, gaussians=self._gaussians(name, made.appearance, progress) if gaussians else None)
 
     def _gaussians(self, name: str, look: str, progress: Progress) -> Gaussians | None:

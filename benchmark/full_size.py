@@ -15,6 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,7 @@ GOALS = {"PhysTwin, both stages": 60.0, "a case in all": 600.0}  # s
 class InMemory:
     """Images of ``footage`` (datasets/synthetic) that are not written to files; the first ``frame_count`` frames are within reach."""
 
-    footage: object
+    footage: Any
     frame_count: int
 
     def _view(self, camera, frame):

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -135,7 +135,8 @@ def phystwin(clock: Clock, scenario, size: Size) -> None:
     from ..methods.registry import get_method
 
     clock.part = "phystwin"
-    method, observed = get_method("phystwin-as-published"), scenario.observed()
+    method: Any = get_method("phystwin-as-published")
+    observed = scenario.observed()
     if find_spec("cma") is None:
         method.stages = ("first",)
         clock.failed("phystwin", "zero-order stage: the package cma is not installed")
@@ -165,7 +166,8 @@ def gs_dynamics(clock: Clock, scenario, size: Size) -> None:
     from ..methods.registry import get_method
 
     clock.part = "gs-dynamics"
-    full = get_method("gs-dynamics-as-published").config(size.preset, scenario.observed())
+    published: Any = get_method("gs-dynamics-as-published")
+    full = published.config(size.preset, scenario.observed())
     method, watch = _variant("gs-dynamics-as-published", {"iterations": size.updates + 1}), Watch(clock)
     twin = method.fit([scenario.observed()], budget=Budget(size.preset), device=clock.device, progress=watch)
     seconds, done = watch.whole(size.updates + 1, full.iterations)
@@ -184,14 +186,15 @@ def spring_gaus(clock: Clock, scenario, size: Size) -> None:
     from ..methods.registry import get_method
 
     clock.part = "spring-gaus"
-    full, observed = get_method("spring-gaus-as-published").presets[size.preset], scenario.observed()
+    published: Any = get_method("spring-gaus-as-published")
+    full, observed = published.presets[size.preset], scenario.observed()
     most = min(full.frames or observed.observed_frames, observed.observed_frames)
 
     def fit(steps: int, epochs: int, frames: int):
         changes = {"opacity_steps": steps, "epochs": epochs, "frames": frames, "quirks.exact_count": False}
         return _variant("spring-gaus-as-published", changes).fit([observed], budget=Budget(size.preset), device=clock.device)
 
-    def seconds(*given) -> tuple[float, object]:
+    def seconds(*given) -> tuple[float, Any]:
         began = clock.now()
         twin = fit(*given)
         return clock.now() - began, twin

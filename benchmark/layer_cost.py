@@ -10,6 +10,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +54,13 @@ def _cloth(fold: bool) -> System:
     terms += [PlateBending({"plate_rigidity": 2e-5}), PlateDamping({"plate_viscosity": 2e-7}), LinearDrag({"drag_damping": 1.0})]
     masses = sheet.masses(0.2, len(points))
     return System(
-        positions=points, masses=masses, springs=np.zeros((0, 2), int), stiffness=[], controllers=_nobody(), sheet=sheet, terms=terms
+        positions=points,
+        masses=masses,
+        springs=np.zeros((0, 2), int),
+        stiffness=np.zeros(0),
+        controllers=_nobody(),
+        sheet=sheet,
+        terms=terms,
     )
 
 
@@ -66,7 +73,7 @@ def _rope(coil: bool) -> System:
         points = np.column_stack([radius * np.cos(turn), radius * np.sin(turn), 0.98 * STRAND * turn / (2 * np.pi)])
     chain, springs = np.arange(ROPE), np.stack([np.arange(ROPE - 1), np.arange(1, ROPE)], 1)
     terms = [Springs(), Dashpot({"dashpot_damping": 0.3}), Bending({"bending_stiffness": 1e-4}), BendingDamping({"bending_damping": 1e-6})]
-    given = dict(masses=np.full(ROPE, 0.002), stiffness=np.full(ROPE - 1, 60.0), hinges=rope_hinges(chain), chains=[chain])
+    given: dict[str, Any] = dict(masses=np.full(ROPE, 0.002), stiffness=np.full(ROPE - 1, 60.0), hinges=rope_hinges(chain), chains=[chain])
     return System(positions=points, springs=springs, controllers=_nobody(), terms=[*terms, LinearDrag({"drag_damping": 1.0})], **given)
 
 
@@ -118,7 +125,7 @@ def measured(system: System, thickness: float, device: str = "cpu", *, copies: i
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--cuda", action="store_true", help="on the GPU, in wall time")
     parser.add_argument("--copies", type=int, default=1, help="of each body in one batch")
     options = parser.parse_args(arguments)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,7 @@ def measure(particles: int, frames: int, mode: str = "corrected", *, colliding: 
 def fit(recording, mode: str):
     from ..methods.registry import get_method
 
-    method = get_method(METHODS[mode])
+    method: Any = get_method(METHODS[mode])
     method.stages = ("first",)
     config = replace(method.config("quick", recording), epochs=1)
     return method.fitted([recording], config, seed=0, device="cpu")

@@ -87,7 +87,7 @@ class Forerunners:
 
     def newest(self, origin: Origin) -> Entry | None:
         """The newest entry for the same method, recordings and options, or None."""
-        return next((entry for entry in self._known if _what(entry.made) == _what(origin.made)), None)
+        return next((entry for entry in self._known if _what(entry.made or {}) == _what(origin.made)), None)
 
     def why(self, origin: Origin) -> str:
         """Why the entry is not there: what changed since the newest one like it; "" where there was none."""
@@ -95,7 +95,7 @@ class Forerunners:
         if (self._cache.root / self._kind / name).exists():
             return "its entry in the cache is damaged"
         found = self.newest(origin)
-        return changes(found.made, origin.made) if found else ""
+        return changes(found.made or {}, origin.made) if found else ""
 
 
 def _what(made: Mapping) -> list:

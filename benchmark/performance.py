@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -131,7 +132,7 @@ def beside_reference(repeats: int) -> None:
         near = near_of(system, "cpu") if colliding else None
         reference = ReferenceEngine(system, substeps=PUBLISHED_SUBSTEPS, dt=5e-5, device="cpu", near=near, back=True)
         batch = Batch([system], fps=30, substeps=PUBLISHED_SUBSTEPS, dt=5e-5, workers=1)
-        works = {"forward": (lambda b=batch: b.march(0, 1), reference.frame)}
+        works: dict[str, tuple[Callable, Callable]] = {"forward": (lambda b=batch: b.march(0, 1), reference.frame)}
         works["+gradient"] = (lambda b=batch: forward_backward(b), reference.frame_and_gradient)
         for what, (ours, theirs) in works.items():
             fast, slow = (timed(work, lambda: None, repeats=repeats, clock=time.process_time) for work in (ours, theirs))

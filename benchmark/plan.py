@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ..datasets.collection import Collection, nearest
+from ..datasets.collection import Collection
 from ..datasets.scenario import Split
+from ..spelling import nearest
 
 __all__ = ["TASKS", "Evaluation", "Fit", "frames", "plan"]
 

@@ -53,6 +53,8 @@ def end_children() -> None:
 class _Pool(Pool):
     """A pool whose processes are started, when work is submitted, with their share of threads."""
 
+    _max_workers: int  # of ``concurrent.futures``
+
     def submit(self, *given, **named):
         with _share(self._max_workers):
             return super().submit(*given, **named)

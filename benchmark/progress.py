@@ -6,6 +6,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
+from typing import Any
 
 from .text import shown
 
@@ -30,7 +31,8 @@ class Bar:
     """
 
     def __init__(self, title: str, steps: Iterable[str] = (), *, quiet: bool = False):
-        self._title, self._quiet, self._bar, self._done = shown(title), quiet, None, 0.0
+        self._title, self._quiet, self._done = shown(title), quiet, 0.0
+        self._bar: Any = None  # before ``__enter__``
         self._left = Counter(steps)
         self._count = self._left.total()
         self._took: dict[str, list[float]] = {}

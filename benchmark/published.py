@@ -60,7 +60,7 @@ class Figure:
     @property
     def decimals(self) -> int:
         """How many the paper prints, lengths in metres."""
-        return max(DECIMALS, -Decimal(str(self.published)).as_tuple().exponent)
+        return max(DECIMALS, -int(Decimal(str(self.published)).as_tuple().exponent))
 
     def rounded(self, value: float) -> Decimal:
         """``value`` with as many decimals.

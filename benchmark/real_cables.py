@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product, zip_longest
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -130,7 +131,7 @@ def _speed(points, fps):
     return np.where(np.isfinite(found), found, 0.0)
 
 
-def candidates(rng: np.random.Generator, length: float, shapes: np.ndarray) -> list[Candidate]:
+def candidates(rng: np.random.Generator, length: float, shapes: Sequence[np.ndarray] | np.ndarray) -> list[Candidate]:
     """What may be missing of a cable of ``length`` m in the air: the effects that need neither ground nor hands, and a natural shape.
 
     ``shapes`` (S, MODES) 1/m are natural shapes that it may have (``common_shapes``): of its own, the same in all recordings. Left out are
@@ -141,7 +142,7 @@ def candidates(rng: np.random.Generator, length: float, shapes: np.ndarray) -> l
         ground = any(p.name.startswith(("ground", "adhesion", "friction")) for p in term.parameters)
         held = term.name.startswith("grip")
         staged = term.stage in ("axial", "strand", "hinge", "body", "velocity", "setup")
-        if staged and not ground and not held and not term.effect.place and term.name not in ("anisotropy",):
+        if staged and not ground and not held and not term.stands_for().place and term.name not in ("anisotropy",):
             also = LIMP if term is Bending else THIN if term.name in LOSSY else ()
             needs = "bending" if term.name == "torsion" else ""
             found.append(Candidate.of(term, also=also, needs=needs))
@@ -160,13 +161,13 @@ def _more_mass(length):
     return Candidate("added_mass", knobs, np.array(starts), (AddedMass,))
 
 
-def _natural_shape(rng, shapes):
+def _natural_shape(rng, shapes: Sequence[np.ndarray] | np.ndarray):
     """Modes of natural curvature; the one about axis b that all of them could be rolled into is left out."""
     modes = [f"natural_{axis}{k}" for axis in "ab" for k in range(MODES) if (axis, k) != ("b", 0)]
     ends = [f"natural_{axis}_{end}" for axis in "ab" for end in ENDS]
     knobs = [Knob(n, 0.0, BENT, -50.0, 50.0) for n in modes] + [Knob(n, 0.0, ASKEW, -1.5, 1.5) for n in ends]
     scale = np.array([1.0 / (1 + int(n[-1])) for n in modes] + [0.3] * len(ends)) * [k.spread for k in knobs]
-    starts = [np.concatenate([share * c.real, share * c.imag[1:], np.zeros(len(ends))]) for c, share in product(shapes, SHARES)]
+    starts = [np.concatenate([share * np.real(c), share * np.imag(c)[1:], np.zeros(len(ends))]) for c, share in product(shapes, SHARES)]
     starts = np.array([*starts, *rng.normal(size=(DRAWS, len(knobs))) * scale])
     return Candidate("natural_curvature", tuple(knobs), starts, also=LIMP[:1], needs="bending")
 
@@ -311,7 +312,7 @@ def study(
     asked = [c for c in candidates(rng, cable.arc, shapes) if not plan.effects or c.name in plan.effects]
     base = first_twin(task, scouting, asked, iterations=plan.iterations)
     doubted = [_braces(base)]
-    options = dict(iterations=plan.iterations, doubted=doubted, most=plan.most, report=report)
+    options: dict[str, Any] = dict(iterations=plan.iterations, doubted=doubted, most=plan.most, report=report)
     found = climb(task, validation, scouting, base, asked, **options)
     left = [collection.load(name) for name in collection.pairs[0].sources]
     chosen = [left[i] for i in np.unique(np.linspace(0, len(left) - 1, min(len(left), plan.last)).astype(int))]

@@ -42,7 +42,7 @@ def disk_errors(twin, scenario) -> np.ndarray:
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--load", default="200g")
     parser.add_argument("--preset", choices=("quick", "full"), default="quick")

@@ -158,7 +158,9 @@ class Looks:
         from ..methods.appearance.published import read_gaussians
 
         if observed.name in self.key:
-            return Appearance(read_gaussians(self.found[observed.name].point_cloud), quirks, device)
+            cloud = self.found[observed.name].point_cloud
+            assert cloud is not None  # or it would have no key
+            return Appearance(read_gaussians(cloud), quirks, device)
         return Appearance.fit(observed, device=device, quirks=quirks, **options)
 
     def load(self, folder):

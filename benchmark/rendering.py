@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class Appearances:
         self._cache, self._preset, self._device, self._folder, self._kind = cache, preset, device, folder, kind
         self._last: dict[str, tuple[str, object]] = {}
 
-    def of(self, scenario: Scenario, checksums: Mapping[str, str], look: str, progress: Callable[[str, float], None]):
+    def of(self, scenario: Scenario, checksums: Mapping[str, str], look: str, progress: Callable[[str, float], None]) -> Any:
         """The appearance of ``scenario`` with the quirks that ``look`` names; ``checksums`` are those of its arrays and of its images, by
         their names.
 
@@ -85,12 +86,12 @@ class Shown(Trajectory):
     Whatever goes wrong then is a reason why there are no images; where it may be gone another time, it is in ``faults``.
     """
 
-    animate: Callable[[], object] = field(repr=False)
+    animate: Callable[[], Any] = field(repr=False)
     faults: list[str] = field(default_factory=list)
     _kept: dict = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(cls, trajectory: Trajectory, appearance: Callable[[], object]) -> Shown:
+    def of(cls, trajectory: Trajectory, appearance: Callable[[], Any]) -> Shown:
         """``trajectory`` moving what ``appearance()`` gives, as far as it is finite."""
         lost = np.flatnonzero(~np.isfinite(trajectory.positions).all(axis=(1, 2)))
         good = np.array(trajectory.positions[: lost[0] if len(lost) else None])

@@ -68,7 +68,7 @@ def summary(rows) -> str:
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n")[0])
     parser.add_argument("cables", nargs="+", type=Path)
     parser.add_argument("--preset", choices=("quick", "full"), default="quick")
     parser.add_argument("--split", choices=("published", "clean"), default="published")

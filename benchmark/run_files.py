@@ -48,4 +48,6 @@ def write_run(
 
 def said_of(results: Results) -> str:
     """The line that says where they were written."""
-    return f"Written to {shown(str(results.folder))}: {', '.join(sorted(file.name for file in results.folder.iterdir()))}"
+    folder = results.folder
+    assert folder is not None  # they were written
+    return f"Written to {shown(str(folder))}: {', '.join(sorted(file.name for file in folder.iterdir()))}"

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -144,7 +145,7 @@ class Runner:
 
     def _scored(self, fit: Fit, report: Progress) -> dict[Evaluation, dict]:
         origins = {evaluation: self.row_origin(fit, evaluation) for evaluation in fit.evaluations}
-        found = {evaluation: self.cache.read("rows", origin.key) for evaluation, origin in origins.items()}
+        found: dict[Evaluation, Any] = {evaluation: self.cache.read("rows", origin.key) for evaluation, origin in origins.items()}
         missing = [evaluation for evaluation, row in found.items() if row is None]
         for evaluation, row in self._compute(fit, missing, report) if missing else ():
             found[evaluation] = row

@@ -6,6 +6,7 @@ import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,8 +58,9 @@ def apart(scenario: str, ours: Trajectory, stored: Trajectory, train_end: int) -
     """The distance between two roll-outs of a recording whose train frames end before ``train_end``."""
     away = np.linalg.norm(ours.positions.astype(float) - stored.positions, axis=2)
     after, frame = away[1:], int(away[1:].max(axis=1).argmax()) + 1
-    means = (float(part.mean()) if part.size else float("nan") for part in (after, away[1:train_end], away[train_end:]))
-    return Apart(scenario, *means, float(away[frame].max()), frame)
+    parts = after, away[1:train_end], away[train_end:]
+    mean, train, test = (float(part.mean()) if part.size else float("nan") for part in parts)
+    return Apart(scenario, mean, train, test, float(away[frame].max()), frame)
 
 
 def scored(
@@ -77,7 +79,8 @@ def scored(
     Raises ValueError where none is scored on the chosen recordings, and as ``Runner.run`` does.
     """
     opened, methods = list(opened), {kind.name: Reader(kind, found) for kind in (Engine, StoredTrajectory)}
-    settings, rows, gaps = Settings(methods, metrics, preset, device, Looks(found)), [], []
+    looks: Any = Looks(found)
+    settings, rows, gaps = Settings(methods, metrics, preset, device, looks), [], []
     for one in opened:
         chosen = [name for name in scenarios if name in one.collection.scenarios]
         if scenarios and not chosen:

@@ -107,7 +107,7 @@ def _up(scenario):
 def main(arguments=None) -> None:
     import pandas as pd
 
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_beam", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_beam", description=str(__doc__).split("\n")[0])
     parser.add_argument("path", help="folder of the recordings beam_gravity*.c3d and beam_load52*.c3d")
     parser.add_argument("--models", nargs="+", default=["elastic"], choices=sorted(MODELS))
     parser.add_argument("--start", default=CONFIG.start, choices=["auto", "rest", "frames"])

@@ -42,7 +42,7 @@ def block(size, pitch: float, tau: float) -> System:
         positions=grid.positions,
         masses=grid.masses(DENSITY),
         springs=np.zeros((0, 2), int),
-        stiffness=[],
+        stiffness=np.zeros(0),
         controllers=np.repeat(grid.positions[held][None], FRAMES, 0),
         grips=held,
         grid=grid,
@@ -68,7 +68,7 @@ def seconds(system: System, device: str = "cpu", repeats: int = 3) -> tuple[floa
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_damping", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_damping", description=str(__doc__).split("\n")[0])
     parser.add_argument("--cuda", action="store_true", help="on the GPU")
     parser.add_argument("--repeats", type=int, default=3, help="timings of each, of which the least counts")
     given = parser.parse_args(arguments)
@@ -80,6 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             system = block(size, pitch, tau)
             taken, substeps, rounds = seconds(system, "cuda" if given.cuda else "cpu", given.repeats)
             cells.append(f"{taken:.2g} ({substeps} x {rounds})")
+            assert system.grid is not None  # of a solid
             count = len(system.grid.cells)
         print(f"| {' x '.join(f'{1e3 * s:g}' for s in size)} | {1e3 * pitch:g} | {count} | {' | '.join(cells)} |", flush=True)
 

@@ -87,7 +87,9 @@ class Cells(Engine):
 
         systems = [self._system(bar, setting.mesh) for bar in bars]
         batch = Batch(systems, fps=FPS, substeps=setting.substeps, device=self.device, workers=self.workers)
-        nodes, weights = systems[0].grid.locate(bars[0].points)
+        grid = systems[0].grid
+        assert grid is not None
+        nodes, weights = grid.locate(bars[0].points)
 
         def run():
             positions = batch.rollout(FRAMES).positions
@@ -120,7 +122,7 @@ class Cells(Engine):
             positions=rest,
             masses=grid.masses(bar.density),
             springs=np.zeros((0, 2), int),
-            stiffness=[],
+            stiffness=np.zeros(0),
             controllers=np.repeat(rest[held][None], FRAMES, 0),
             grips=held,
             terms=terms,

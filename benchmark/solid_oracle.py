@@ -14,10 +14,11 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..datasets.concealed.engine import FPS
+from ..datasets.concealed.world import FPS
 from ..methods.base import Diverged
 from ..methods.continuum import Continuum
 from ..methods.continuum.config import DENSITY
@@ -34,14 +35,14 @@ CLEAR = 20.0  # mm, RMS, by which an effect moves what is to be judged
 MATERIAL = ("viscoelastic", "anisotropy", "compression_softening", "creep")  # whose terms are those of a solid's cells
 
 
-def told(label: dict, scene, recording: int = 0) -> tuple[tuple, list[Unknown], dict]:
+def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unknown], dict]:
     """(terms, unknown amounts, what is told) of a label's effect, for the ``scene`` of one of its two recordings, 0 or 1.
 
     Raises KeyError for an effect that no term of the scene's body says: beside what is not in the engine, what a sound twin of its kind
     fits already, as the stiffness of a rope.
     """
     effect, known = label["effect"], label["parameters"]
-    place = next((p for p in [*label["place"][recording:], *label["place"]] if p), None)
+    place: Any = next((p for p in [*label["place"][recording:], *label["place"]] if p), None)
     if scene is not None and scene.body.kind != "solid" and effect in MATERIAL:
         raise KeyError(f"{effect} of a {scene.body.kind}")
     if effect == "viscoelastic":
@@ -144,8 +145,8 @@ def case_row(folder: str, case: str, seed: int = 0) -> dict:
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     truth = np.load(root / "truth" / f"{case}.npz")
     home, away = (open_scenario(str(root / case / part)) for part in ("fit", "transfer"))
-    row = dict(set=root.name, case=case, kind=label["object"], effect=label["effect"], moved=1e3 * label["displacement_transfer"])
-    row["seconds"] = time.process_time()
+    row: dict[str, Any] = dict(set=root.name, case=case, kind=label["object"], effect=label["effect"])
+    row |= dict(moved=1e3 * label["displacement_transfer"], seconds=time.process_time())
     method, config = Continuum(), Continuum.presets["quick"]
     extra, amounts, fixed = told(label, scenes_of([home.observed()], config, seed=seed)[1][0])
     sound = method.fitted([home.observed()], config, seed=seed)
@@ -187,7 +188,7 @@ def _error(twin, scenario, places, first):
 def main(arguments=None) -> None:
     import pandas as pd
 
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_oracle", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_oracle", description=str(__doc__).split("\n")[0])
     parser.add_argument("set", help="folder of cases with labels.json and truth/")
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--jobs", type=int, default=1)

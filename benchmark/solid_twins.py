@@ -134,7 +134,7 @@ def _said(rows):
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_twins", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.solid_twins", description=str(__doc__).split("\n")[0])
     parser.add_argument("sets", nargs="+", help="folders of cases with labels.json and truth/")
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--methods", nargs="+", default=["continuum"])

@@ -19,14 +19,15 @@ import time
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..datasets.concealed import bodies, motions
 from ..datasets.concealed.converge import shared_vertices
-from ..datasets.concealed.engine import FPS, Motion, Unstable
 from ..datasets.concealed.engines import engine
 from ..datasets.concealed.motions import Script
+from ..datasets.concealed.world import FPS, Motion, Unstable
 from ..datasets.scenario import Observed
 from ..datasets.synthetic.interactions import Interaction
 from ..datasets.synthetic.simulate import to_world
@@ -45,6 +46,7 @@ PARTS = ("fit", "transfer")
 COMMON = dict(young=2.0, damping=2.0, drag=2.0, friction=1.5)
 FITTED = {"plush": COMMON, "rope": COMMON, "cloth": dict(bending=2.0, **COMMON)}
 NAMED = {"finite": "finite", "mujoco": "mujoco", "newton": "newton", "pyelastica": "cosserat"}  # engines, by what labels have of each
+FILLED: Any = None  # the default of fields that are always given
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,8 @@ class Felt(Interaction):
     of frames at 30 a second; before the first frame and after the last as in these.
     """
 
-    shift: np.ndarray = None
-    turn: np.ndarray = None
+    shift: np.ndarray = FILLED
+    turn: np.ndarray = FILLED
 
     def path(self, time):
         from scipy.spatial.transform import Rotation
@@ -169,7 +171,7 @@ def engine_of(label: dict) -> str:
 def main(arguments=None) -> None:
     import pandas as pd
 
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.sound_floor", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.sound_floor", description=str(__doc__).split("\n")[0])
     parser.add_argument("sets", nargs="+", help="folders of cases with labels.json and truth/")
     parser.add_argument("--cases", nargs="+", help="some of them")
     parser.add_argument("--refine", type=int, default=2, help="how many times as fine the mesh of the truth is")

@@ -28,7 +28,7 @@ from .scan import Import, Scan
 
 __all__ = ["SOURCES", "Sources"]
 
-PACKAGE = __package__.partition(".")[0]
+PACKAGE = str(__package__).partition(".")[0]
 # modules that look through a folder of the package at run time and use all that is there
 ALL_OF = {"physics/catalogue.py": ("physics/terms", "twinbench.terms")}  # and the entry points of that group
 
@@ -142,7 +142,7 @@ class Sources:
         else:
             home = _installed(parts[0])
         file = home and _file(home.place(parts))
-        return Reached(home, file) if file else None
+        return Reached(home, file) if home and file else None
 
     def _reached(self, by: Reached, imported: Import) -> Iterator[Reached]:
         """What an import reaches, where it is one that is followed."""

@@ -40,7 +40,7 @@ def spread(
     rows: dict[int, list[dict]] = {}
     progress("reading", 0.0)
 
-    def take(group: Sequence[int], done: Sequence[tuple[list[dict], str]]) -> None:
+    def take(group, done: Sequence[tuple[list[dict], str]]) -> None:
         for k, (found, last) in zip(group, done, strict=True):
             rows[k] = found
             progress(last, len(rows) / len(fits))

@@ -297,9 +297,9 @@ def laid_out(names: Sequence[Sequence[str]], body: list[list[str]]) -> list[str]
     height = max(len(words) for words in names)
     head = [[f"{word} " for word in row] for row in zip(*([""] * (height - len(words)) + list(words) for words in names), strict=True)]
     widths = [max(len(cell) for cell in column) for column in zip(*head, *body, strict=True)]
-    head, body = ([_joined(row, widths) for row in rows] for rows in (head, body))
-    rule = "-" * max(len(line) for line in (*head, *body))
-    return [rule, *head, rule, *body, rule]
+    above, below = ([_joined(row, widths) for row in rows] for rows in (head, body))
+    rule = "-" * max(len(line) for line in (*above, *below))
+    return [rule, *above, rule, *below, rule]
 
 
 def _aligned(text: str, best: bool) -> str:

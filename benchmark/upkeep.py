@@ -49,7 +49,9 @@ class Upkeep:
         return "its code changed" if now is not None and code_changes(old, now) else ""
 
     def _data(self, entry: Entry) -> str:
-        folder, names = entry.made["subject"].get("folder", ""), entry.made["subject"].get("data", [])
+        made = entry.made
+        assert made is not None  # who comes here has asked
+        folder, names = made["subject"].get("folder", ""), made["subject"].get("data", [])
         if not folder:
             return ""
         if not Path(folder).exists():
@@ -57,7 +59,7 @@ class Upkeep:
         if entry.kind == "collections":
             return "" if entry.key in self._keys(folder) else "its recordings changed"
         known = self._known(folder)
-        changed = (known.get(name, value) != value for name, value in zip(names, entry.made["inputs"]["data"], strict=False))
+        changed = (known.get(name, value) != value for name, value in zip(names, made["inputs"]["data"], strict=False))
         return "its recordings changed" if any(changed) else ""
 
     def _checksums(self, folder: str) -> dict[str, str]:

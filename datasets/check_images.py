@@ -62,7 +62,7 @@ def _frames(folder, suffix, frames, size):
         yield warning("", f"unreadable frames {_ranges(list(broken))}, which cannot be scored; frame {first}: {why}", folder)
     expected = size or max(sizes, key=lambda s: len(sizes[s]), default=None)
     for other, at in sizes.items():
-        if other != expected:
+        if expected and other != expected:
             rule = f"images must be {expected[0]} x {expected[1]} pixels"
             yield warning("", f"{rule}, got {other[0]} x {other[1]} in frames {_ranges(at)}", folder)
 

@@ -12,12 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+from ..spelling import nearest
 from .findings import collected, refuse
 from .plausible import plausible
-from .plugins import Kind, Origin, discover, nearest, said, warn
+from .plugins import Kind, Origin, discover, said, warn
 from .scenario import Scenario, TransferPair
 
-__all__ = ["Collection", "Layout", "Unrecognised", "layouts", "nearest", "open_collection", "recognises"]
+__all__ = ["Collection", "Layout", "Unrecognised", "layouts", "open_collection", "recognises"]
 
 
 @dataclass(frozen=True)

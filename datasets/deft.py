@@ -57,12 +57,11 @@ def read_deft(file: Path, markers: int | None = None) -> np.ndarray:
     values = axes.shape[-1]
     named = re.search(r"_frames(\d+)to(\d+)$", file.stem)
     frames = int(named[2]) - int(named[1]) + 1 if named else None
-    if markers is None:
-        markers = values // (frames or FRAMES)
-    if markers < 5 or values % markers or (frames or values // markers) != values // markers:
+    count = values // (frames or FRAMES) if markers is None else markers
+    if count < 5 or values % count or (frames or values // count) != values // count:
         stated = f" in {frames} frames" if frames else ""
-        raise ValueError(f"{file}: must hold whole frames of {max(markers, 5)} markers{stated}, got {values} values for each axis")
-    return axes.reshape(3, -1, markers).transpose(1, 2, 0).astype(float)
+        raise ValueError(f"{file}: must hold whole frames of {max(count, 5)} markers{stated}, got {values} values for each axis")
+    return axes.reshape(3, -1, count).transpose(1, 2, 0).astype(float)
 
 
 class Deft:

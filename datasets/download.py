@@ -14,7 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .collection import nearest
+from ..spelling import nearest
+from .temporary import replacing
 from .unzip import unzip
 
 __all__ = ["ARCHIVES", "BASE_URL", "Archive", "Plan", "download", "plan"]
@@ -132,7 +133,7 @@ def _look(name, url, out):
     with _open(url, method="HEAD") as reply:
         size = _length(reply)
     sizes = [f.stat().st_size for f in (whole, part) if f.exists()]
-    here = size if size in sizes else part.stat().st_size if part.exists() else 0
+    here = size if size is not None and size in sizes else part.stat().st_size if part.exists() else 0
     done = receipt is not None and (size is None or receipt["size"] == size)
     return Archive(name, url, size, here if size is None or here <= size else 0, done)
 
@@ -216,10 +217,8 @@ def _receipt(out, name):
 
 def _write_receipt(out, archive, size, holds):
     file = out / ".downloaded" / f"{archive.name}.json"
-    file.parent.mkdir(exist_ok=True)
-    temporary = file.with_suffix(".partial")
-    temporary.write_text(json.dumps({"url": archive.url, "size": size, "holds": holds}), encoding="utf-8")
-    os.replace(temporary, file)
+    with replacing(file) as temporary:
+        temporary.write_text(json.dumps({"url": archive.url, "size": size, "holds": holds}), encoding="utf-8")
 
 
 def _size(count):

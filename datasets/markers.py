@@ -105,7 +105,7 @@ class Cable:
         Blocks are cut from the middle of motions, and their authors' models are given the first two frames: so are all methods.
         """
         markers, frames = recording.markers, len(recording.markers)
-        visible = np.isfinite(markers).all(-1)
+        visible = np.asarray(np.isfinite(markers).all(-1))
         with named(recording.file):
             return Scenario(
                 name=recording.name,

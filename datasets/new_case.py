@@ -11,9 +11,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from ..spelling import nearest
 from .files import check_file
 from .findings import shown
-from .plugins import nearest
 from .scenario import Plane, Scenario, Split
 
 __all__ = ["NAMES", "UNITS", "example", "read_arrays", "recording"]
@@ -84,7 +84,7 @@ def recording(
     if notes and "grips" in values:
         raise ValueError("points must be finite in frame 0 where grips names some of them")
     values["points"] = np.where(np.isfinite(points), points, 0.0)[:, started]
-    values["visible"] = visible[:, started]
+    values["visible"] = np.asarray(visible)[:, started]
     for key in ("motion_valid", "colors"):
         if key in values and values[key].shape[:2] == points.shape[:2]:
             values[key] = values[key][:, started]

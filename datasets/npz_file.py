@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 import numpy as np
 from numpy.lib import format as npy
@@ -47,7 +47,7 @@ def read_arrays(file: str | Path, wanted: Mapping[str, Shape], *, limit: int = M
             raise ValueError(f"{file}: not a complete .npz file, which is a zip archive ({shown(str(failure))})") from None
 
 
-def _check_directory(file: Path, stream: BinaryIO) -> None:
+def _check_directory(file: Path, stream: IO[bytes]) -> None:
     """Refuse an archive that ends otherwise than numpy ends it, or lists so much that the list itself would fill the memory."""
     start = max(0, stream.seek(0, os.SEEK_END) - _LOCATOR - _END.size)
     stream.seek(start)
@@ -100,7 +100,7 @@ def _read(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: s
     return np.ascontiguousarray(array, dtype.newbyteorder("="))
 
 
-def _header(file: Path, stream: BinaryIO, name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
+def _header(file: Path, stream: IO[bytes], name: str) -> tuple[tuple[int, ...], bool, np.dtype]:
     try:
         version = npy.read_magic(stream)
         if version not in _HEADERS:

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..spelling import nearest
 from .catalogue import CASES, self_collides
-from .collection import nearest
 from .files import load_pickle, present, read_json
 from .findings import UNREADABLE, Finding, Findings, attempt, changed, collected, count, error, refuse, shown, warning
 from .phystwin_cameras import FPS, read_cameras, read_metadata

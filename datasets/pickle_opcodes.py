@@ -5,23 +5,25 @@ from __future__ import annotations
 import codecs
 import pickletools
 import struct
+from typing import Any
 
 from .pickle_arrays import Refused
 
 __all__ = ["OPCODES", "name_of", "unknown"]
 
 MAX_INTEGER = 128  # bytes: no larger integer fits a float
+_OPCODES: dict[str, Any] = {opcode.code: opcode for opcode in pickletools.opcodes}
 _OUTSIDE = ("EXT1", "EXT2", "EXT4", "PERSID", "BINPERSID", "NEXT_BUFFER")
 
 
 def name_of(code: int) -> str:
     """The name of an opcode, for errors."""
-    return pickletools.code2op[chr(code)].name if chr(code) in pickletools.code2op else f"opcode 0x{code:02x}"
+    return _OPCODES[chr(code)].name if chr(code) in _OPCODES else f"opcode 0x{code:02x}"
 
 
 def unknown(code: int):
     """Raises Refused for an opcode that is not one of OPCODES, ValueError for a byte that is none at all."""
-    if chr(code) not in pickletools.code2op:
+    if chr(code) not in _OPCODES:
         raise ValueError("there is no such opcode")
     reason = "names an object outside of the file" if name_of(code) in _OUTSIDE else "makes more than plain data"
     raise Refused(f"its opcode {name_of(code)} {reason}")

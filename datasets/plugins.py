@@ -20,12 +20,15 @@ from importlib import import_module
 from importlib.metadata import EntryPoints, distributions
 from inspect import isclass, ismodule
 from pathlib import Path
+from typing import Any
 
-__all__ = ["Broken", "Discovery", "Kind", "Origin", "discover", "nearest", "offered", "one_line", "said", "unknown", "warn"]
+from ..spelling import nearest
+
+__all__ = ["Broken", "Discovery", "Kind", "Origin", "discover", "offered", "one_line", "said", "unknown", "warn"]
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}")  # columns, file names and options are made of it
 LONGEST = 400  # characters of a message
-_PACKAGE, _ROOT = __package__.rpartition(".")[0], Path(__file__).parents[1]
+_PACKAGE, _ROOT = str(__package__).rpartition(".")[0], Path(__file__).parents[1]
 _left_out: list[Broken] = []
 
 
@@ -64,7 +67,7 @@ class Kind:
     rooms: tuple[str, ...]
     listed: tuple[str, ...]
     base: type
-    accept: Callable[[object, Origin, Mapping[str, object]], object]
+    accept: Callable[[Any, Origin, Mapping[str, Any]], Any]
     made: bool = False
     gathered: bool = False
 
@@ -86,7 +89,7 @@ class Broken:
 class Discovery:
     """Everything of a kind by name, and where each comes from."""
 
-    things: Mapping[str, object]
+    things: Mapping[str, Any]
     origins: Mapping[str, Origin]
 
 
@@ -216,16 +219,6 @@ def unknown(noun: str, name: str, choices: Iterable[str]) -> ValueError:
         if broken.noun == noun and name in broken.names:
             return ValueError(str(broken))
     return ValueError(f"unknown {noun} {name!r}; {nearest(name, choices)}")
-
-
-def nearest(name: str, known) -> str:
-    """'did you mean ...? known: ...' for an unknown ``name``."""
-    from difflib import get_close_matches
-
-    known = [str(k) for k in known]
-    close = get_close_matches(str(name), known, n=1, cutoff=0.5)
-    shown = ", ".join(known[:30]) + (f" and {len(known) - 30} more" if len(known) > 30 else "")
-    return (f"did you mean {close[0]!r}? " if close else "") + f"known: {shown}"
 
 
 @cache

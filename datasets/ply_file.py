@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,12 +35,13 @@ def read_vertices(path: str | Path) -> dict[str, np.ndarray]:
         raise ValueError(f"{path}: not a .ply file: it must begin with a header from ply to end_header of at most {LARGEST_HEADER} bytes")
     kind, count, layout = _header(data[: end.start()], path)
     body = memoryview(data)[end.end() :]
-    values = (_binary if kind == "binary_little_endian" else _ascii)(body, count, layout, path)
-    for name in layout.names:
+    values: Any = (_binary if kind == "binary_little_endian" else _ascii)(body, count, layout, path)
+    names = layout.names or ()
+    for name in names:
         bad = np.flatnonzero(~np.isfinite(values[name]))
         if len(bad):
             raise ValueError(f"{path}: {ascii(name)[1:-1]} must be finite, got {values[name][bad[0]]} at vertex {bad[0]}")
-    return {name: np.ascontiguousarray(values[name]) for name in layout.names}
+    return {name: np.ascontiguousarray(values[name]) for name in names}
 
 
 def _header(text: bytes, path: Path) -> tuple[str, int, np.dtype]:

@@ -78,5 +78,7 @@ def _begin(begin, *given):
 
 
 def _follow():
-    wait([multiprocessing.parent_process().sentinel])
+    parent = multiprocessing.parent_process()
+    assert parent is not None  # this runs in a child
+    wait([parent.sentinel])
     os._exit(1)

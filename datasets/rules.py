@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from numbers import Real
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def _rules(values, shapes):
     if "grips" in good and "points" in good and len(good["grips"]):
         yield from _grips(good["grips"], good["points"].shape[1])
     fps = values.get("fps", 1.0)
-    if isinstance(fps, (bool, np.bool_)) or not isinstance(fps, Real) or not 0 < fps <= MAX_FPS:
+    if not _is_number(fps) or not 0 < fps <= MAX_FPS:
         yield error("fps", f"must be a number > 0 and at most {MAX_FPS:g} frames per second, got {shown(fps)}")
     if values.get("correspond", True) is False and "motion_valid" in good and good["motion_valid"].any():
         yield error("motion_valid", f"must be False where points do not correspond, got {count(good['motion_valid'], 'motion')}")
@@ -169,7 +169,7 @@ def plane_rules(normal, offset) -> Findings:
     normal = yield from _array("ground normal", normal, "3", {"3": 3})
     if normal is not None and not abs((length := float(np.linalg.norm(normal))) - 1) <= UNIT:
         yield error("ground normal", f"must be a unit vector, got length {length:.6g}")
-    if isinstance(offset, (bool, np.bool_)) or not isinstance(offset, Real) or not abs(offset) <= FAR:
+    if not _is_number(offset) or not abs(offset) <= FAR:
         yield error("ground offset", f"must be a number within {FAR:g} m, got {shown(offset)}")
     return normal
 
@@ -220,3 +220,8 @@ def _square(name, value, size):
     if found is not None and not np.isfinite(found).all():
         return (yield error(name, "must be finite, got NaN or infinity"))
     return found
+
+
+def _is_number(value: Any) -> TypeGuard[Any]:
+    """Whether it is a real number that can be compared with others, and no truth value."""
+    return isinstance(value, Real) and not isinstance(value, (bool, np.bool_))

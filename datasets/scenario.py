@@ -6,7 +6,7 @@ World axes and signs are the recording's own; gravity and the ground plane are t
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from .findings import Findings, refuse
 from .rules import camera_rules, observed_rules, plane_rules, scenario_rules, split_rules
 
 __all__ = ["Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
+
+FILLED: Any = None  # the default of a field that gets a value when the recording is made, as its docstring says
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ class Split:
 class Images(Protocol):
     """Lazily read images. ``frame_count`` frames are within reach; asking beyond raises IndexError."""
 
-    frame_count: int
+    @property
+    def frame_count(self) -> int: ...
 
     def color(self, camera: int, frame: int) -> np.ndarray: ...  # (H, W, 3) uint8 RGB
 
@@ -106,7 +109,7 @@ class Observed:
     gravity           (3,) m/s^2
     ground            the table, or None where there is none
     actuation         (T, A) further inputs, such as angles of motors in the body, known for the whole recording, in its own units; or None
-    grips             (C,) the tracked point that controller c *is* (a driven marker), or -1 (a hand near the body)
+    grips             (C,) the tracked point that controller c *is* (a driven marker), or -1 (a hand near the body); -1 unless given
     self_collision    whether the object can touch itself (the published cloth configuration)
     object            names the physical thing; recordings of one object share it
     session           names the take a recording was cut from: clean splits keep a session on one side
@@ -126,7 +129,7 @@ class Observed:
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 9.8]))
     ground: Plane | None = None
     actuation: np.ndarray | None = None
-    grips: np.ndarray | None = None
+    grips: np.ndarray = FILLED
     self_collision: bool = False
     object: str = ""
     session: str = ""

@@ -16,11 +16,12 @@ import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 try:
     import fcntl
 except ImportError:  # no such locks: left-overs are told by their age
-    fcntl = None
+    fcntl: Any = None
 
 __all__ = ["idle", "lasting", "locked", "remove", "replacing", "scratch", "sweep"]
 

@@ -77,7 +77,7 @@ def _check(path: Path) -> None:
         raise ValueError(f"{path}: its data.pkl is not a complete pickle ({error})") from None
     for name, argument in calls:
         if name in _OTHER_CALLS or (name == "GLOBAL" and argument not in _ALLOWED):
-            asked = ascii(argument.replace(" ", "."))[1:-1] if name == "GLOBAL" else f"what its opcode {name} names"
+            asked = ascii(str(argument).replace(" ", "."))[1:-1] if name == "GLOBAL" else f"what its opcode {name} names"
             raise ValueError(f"{path}: refused, it calls for {asked}; a checkpoint may hold only tensors, dicts, lists and numbers")
 
 

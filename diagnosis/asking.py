@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,7 @@ def told_twin(twin: ContinuumTwin, observed: Sequence[Observed], named: Named, m
     free = [] if effect.law else [_free(a, values[a.name]) for a in effect.amounts]
     fixed = {name: value for name, value in values.items() if name not in {u.name for u in free}}
     begin = twin.values | {f"rec{r}_{name}": value for r in range(len(observed)) for name, value in twin.values.items()}
-    options = dict(extra=(effect.term(),) if effect.term else (), extra_unknowns=free, fixed=fixed, begin=begin, seed=seed)
+    options: dict[str, Any] = dict(extra=(effect.term(),) if effect.term else (), extra_unknowns=free, fixed=fixed, begin=begin, seed=seed)
     return Continuum().fitted(observed, made, device=twin.device, **options)
 
 
@@ -123,7 +124,7 @@ def ask(
     if against and (fitted_on or len(recordings) != 1):
         raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
     suitable([*recordings, *fitted_on, *against], transfer)
-    options = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
+    options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
     found = asked(recordings, config, **options)
     roles = dict(case=recordings, fitted_on=fitted_on, against=against, transfer=transfer)
     parts = [(one, role) for role, group in roles.items() for one in group]

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,7 @@ def diagnose(
         several = len(recordings) != 1 or bool(against)
         twin = "continuum" if several or has_continuum(recordings[0]) else "springs"
     if twin == "continuum":
-        options = dict(transfer=transfer, fitted_on=fitted_on, against=against, config=MEMBERS[preset])
+        options: dict[str, Any] = dict(transfer=transfer, fitted_on=fitted_on, against=against, config=MEMBERS[preset])
         return ask(recordings, **options, device=device, progress=progress)
     if against:
         raise ValueError("recordings are compared with sound ones by twin 'continuum' alone")
@@ -125,7 +126,7 @@ def diagnose(
     chosen = next((r for r in inquiry.refits if decision.chosen and r.score.hypothesis.term.name == decision.chosen.term), None)
     before = inquiry.free(inquiry.base)
     after = inquiry.free(chosen.found) if chosen else None
-    change = np.linalg.norm(after[0] - before[0], axis=-1) if chosen else None
+    change = np.linalg.norm(after[0] - before[0], axis=-1) if after is not None else None
     nodes, where = _where(inquiry, chosen, change)
     advice, planned = experiment(inquiry, decision)
     result = {
@@ -288,7 +289,7 @@ def _detectable(inquiry):
         size = SEEN * float(np.sqrt(np.mean(np.square(score.error))))
         responds = float(np.abs(score.direction).sum()) > 0 or score.kept > 0
         if responds and np.isfinite(size) and size < max(abs(k.high) for k in h.knobs):
-            out[h.effect] = size if out.get(h.effect) is None else min(out[h.effect], size)
+            out[h.effect] = size if (known := out.get(h.effect)) is None else min(known, size)
     return out
 
 

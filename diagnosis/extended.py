@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,8 @@ class DiagnosedTwin(PhysTwinTwin):
 
     @classmethod
     def load(cls, folder: Path) -> DiagnosedTwin:
-        return replace(super().load(folder), note=json.loads((Path(folder) / "note.json").read_text(encoding="utf-8")))
+        twin: Any = super().load(folder)  # of this class
+        return replace(twin, note=json.loads((Path(folder) / "note.json").read_text(encoding="utf-8")))
 
 
 def extend(
@@ -69,6 +71,7 @@ def extend(
         device=device,
         progress=lambda said: say(said.split(", ")[0], 1 / 3),
     )
+    assert isinstance(found, Diagnosis)  # of a twin of springs
     said, term = _said(found), named(found, start.body)
     if term is None:
         return twin(f"nothing added: {said}{', which no term of the fine twin stands for' if found.result['effect'] else ''}")
@@ -131,5 +134,5 @@ def _said(found: Diagnosis) -> str:
 def _shown(term: Term) -> str:
     """A term's amplitudes with their units."""
     units = {p.name: p.unit for p in term.parameters}
-    numbers = (f"{n} {term.values[n]:.3g} {units[n]}".removesuffix(" -") for n in term.effect.amplitudes)
+    numbers = (f"{n} {term.values[n]:.3g} {units[n]}".removesuffix(" -") for n in term.stands_for().amplitudes)
     return f"{term.name} ({', '.join(numbers)})"

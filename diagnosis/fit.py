@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -199,7 +200,9 @@ def fit(task: Task, model: Model, z0, *, iterations: int, known: Slopes | None =
     normal = np.eye(len(z))
     wide = model.wide
     damping = 1.0
-    slopes, ok, age = None, None, EXACT
+    slopes: Any = None
+    ok: Any = None
+    age = EXACT
     for _ in range(iterations):
         if slopes is None:
             substeps = task.substeps(model, z)
@@ -261,7 +264,7 @@ def jacobian(task: Task, model: Model, z, residual, substeps, known: Slopes | No
     first = 0 if known is None else len(known[1])
     slopes, ok = known or (np.zeros((len(residual), 0)), np.zeros(0, bool))
     if first < len(steps):
-        found = task.residuals(task.predict(model, trials[first:], substeps))
+        found = task.residuals(task.predict(model, list(trials[first:]), substeps))
         new = ((found - residual) / steps[first:, None]).T
         slopes, ok = np.concatenate([slopes, new], 1), np.concatenate([ok, np.isfinite(new).all(0)])
     return np.where(ok, slopes, 0.0), ok

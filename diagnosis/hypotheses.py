@@ -12,7 +12,8 @@ import numpy as np
 from ..datasets.plugins import discover, warn
 from ..physics import terms as ours
 from ..physics.catalogue import KIND, terms
-from ..physics.terms.base import CELLS, Term
+from ..physics.terms.base import Term
+from ..physics.terms.stages import CELLS
 from ..physics.trials import fault
 from .locate import peaks
 from .model import Knob, Simulator
@@ -44,7 +45,7 @@ class Hypothesis:
     @property
     def place(self) -> np.ndarray | None:
         """(3,) m, where it acts, or None."""
-        prefix = self.term.effect.place
+        prefix = self.term.stands_for().place
         return np.array([self.values[f"{prefix}_{axis}"] for axis in "xyz"]) if prefix else None
 
     def possible(self, replica, values: Mapping[str, float]) -> bool:
@@ -59,7 +60,7 @@ class Hypothesis:
         if self.term.stage != "observer":
             return np.zeros(0, int)
         home = replica.nodes if replica.system.home is None else replica.system.home
-        return np.flatnonzero(np.linalg.norm(home - self.place, axis=1) < FOLLOWED * self.values[self.term.effect.within])
+        return np.flatnonzero(np.linalg.norm(home - self.place, axis=1) < FOLLOWED * self.values[self.term.stands_for().within])
 
     def free_knobs(self, spacing: float) -> tuple[Knob, ...]:
         """Knobs of the shapes and of the place, for a refit in which they may move."""
@@ -98,7 +99,7 @@ def hypotheses_for(simulator: Simulator, predicted: np.ndarray, push: np.ndarray
     for term in catalogue():
         if not _applies(term, simulator):
             continue
-        effect, known = term.effect, {p.name: p for p in term.parameters}
+        effect, known = term.stands_for(), {p.name: p for p in term.parameters}
         size = _noticeable(simulator.replica, term)
         doubts = {a: ANY * _doubtful(term, a, simulator.replica.recording) for a in effect.amplitudes}
         knobs = tuple(Knob(a, 0.0, size, known[a].low, known[a].high, step=0.25, prior=doubt) for a, doubt in doubts.items() if doubt > 0)
@@ -115,7 +116,7 @@ def _noticeable(replica, term) -> float:
     """A noticeable amplitude for particles of unit mass."""
     if term.stage == "hinge":
         return _rigidity(replica, term)
-    size = max(abs(term.effect.typical[a]) for a in term.effect.amplitudes)
+    size = max(abs(term.stands_for().typical[a]) for a in term.stands_for().amplitudes)
     return size * heaviness(replica.system) if term.stage == "facet" else size
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from .replica import Replica, build_replica
 from .screen import Score, confirm, screen
 
 __all__ = ["PRESETS", "Inquiry", "Preset", "Refit", "inquire"]
+
+NOT_YET: Any = None  # in the place of what an inquiry gets at its end
 
 BANDWIDTH = 2.0  # Hz of the observer: slower than the motions, faster than errors grow
 LEAST = 1e-4  # m, error that is asked of no twin
@@ -181,7 +184,7 @@ def inquire(
     scores = screen(Task(simulators[:1], [frames], BANDWIDTH, finest), base, [*hypotheses, _learned()], parts[:2])
     learned = scores.pop(next(i for i, s in enumerate(scores) if s.hypothesis.term is ResidualField))
     turned = balance(replicas[: 1 + len(transfer)])
-    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), None, scores, [], None, watched, push, finest, astray, turned)
+    inquiry = Inquiry(simulators, len(transfer), train, tuple(parts), NOT_YET, scores, [], None, watched, push, finest, astray, turned)
 
     best = [s for s in inquiry.best().values() if s.hypothesis.term.stage != "observer" or _elsewhere(s, scores, replicas[0].spacing)]
     told = turned.speaks_for if turned else ()
@@ -215,13 +218,19 @@ def _followed(*hypotheses: Hypothesis) -> Callable[[Replica], np.ndarray]:
     return lambda replica: reduce(np.union1d, (h.follows(replica) for h in hypotheses)).astype(int)
 
 
+def _apart(one: Hypothesis, other: Hypothesis) -> float:
+    """m, between the places of two hypotheses that have one."""
+    assert one.place is not None and other.place is not None
+    return float(np.linalg.norm(one.place - other.place))
+
+
 def _elsewhere(score: Score, scores: Sequence[Score], spacing: float) -> Score | None:
     """For a hypothesis that follows the recording in one patch: the best of its kind in another patch, which it must surpass."""
     mine = score.hypothesis
     if mine.term.stage != "observer":
         return None
-    apart = 2 * FOLLOWED * mine.values[mine.term.effect.within] + spacing
-    others = [s for s in scores if s.hypothesis.term is mine.term and np.linalg.norm(s.hypothesis.place - mine.place) > apart]
+    apart = 2 * FOLLOWED * mine.values[mine.term.stands_for().within] + spacing
+    others = [s for s in scores if s.hypothesis.term is mine.term and _apart(s.hypothesis, mine) > apart]
     return max(others, key=promise, default=None)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +20,11 @@ NAMES = ("baseline", "extended")  # of twins, as of tracks: as it was questioned
 def write_tracks(arrays: Mapping[str, np.ndarray], out: Path) -> None:
     """Write ``arrays`` as ``write_report`` draws them, whole and in float32, into ``out``/tracks.npz in one rename."""
     with replacing(Path(out) / TRACKS) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **{name: np.asarray(values, np.float32) for name, values in arrays.items()})
+        kept: dict[str, Any] = {name: np.asarray(values, np.float32) for name, values in arrays.items()}
+        np.savez_compressed(file, **kept)
 
 
-def write_twins(twins: Mapping[str, object], out: Path) -> None:
+def write_twins(twins: Mapping[str, Any], out: Path) -> None:
     """Save each of ``twins``, by one of ``NAMES``, in ``out``/twins/NAME; those of an earlier diagnosis are taken away first."""
     folder = Path(out) / TWINS
     for name in NAMES:

@@ -48,7 +48,7 @@ class Candidate:
     @classmethod
     def of(cls, term: type[Term], **options) -> Candidate:
         """Of a term that declares an effect: its amplitudes, and its shapes as they are tried, each over several decades."""
-        effect, known = term.effect, {p.name: p for p in term.parameters}
+        effect, known = term.stands_for(), {p.name: p for p in term.parameters}
         knobs, tried = [], []
         for name in effect.amplitudes:
             p, size = known[name], abs(effect.typical[name]) or max(map(abs, effect.typical.values()))
@@ -64,7 +64,7 @@ class Candidate:
             if p.scale == "log":
                 knobs.append(Knob(name, shapes[0], 0.7, p.low, p.high, log=True, step=0.05))
                 tried.append(np.array(shapes))
-        return cls(term.effect.name, tuple(knobs), np.array(list(product(*tried))), (term,), **options)
+        return cls(term.stands_for().name, tuple(knobs), np.array(list(product(*tried))), (term,), **options)
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _scouts(task, found, candidates, have):
     """((candidate, ...), short fit) of every candidate that the twin lacks, with what it needs where it lacks that too."""
     lacking = {c.name: c for c in candidates if c.name not in have}
     alone = {name: _scouted(task, found, c) for name, c in lacking.items() if c.needs in ("", *have)}
-    scouts = [((lacking[name],), scout) for name, scout in alone.items()]
+    scouts: list[tuple[tuple, Fit]] = [((lacking[name],), scout) for name, scout in alone.items()]
     for c in lacking.values():
         if c.needs in alone:
             scouts.append(((lacking[c.needs], c), _scouted(task, alone[c.needs], c)))

@@ -206,7 +206,7 @@ def _detectable(answer: Answer, evidence: Evidence, unit: str) -> dict:
     amounts = {id(s.candidate): float(s.unit[0]) for s in evidence.catalogue}
     for one, signature in zip(answer.detectable, evidence.catalogue, strict=True):
         size = one.size * (amounts[id(signature.candidate)] if unit == "amount" else 1.0)
-        found[one.name] = size if found[one.name] is None else min(size, found[one.name])
+        found[one.name] = size if (known := found[one.name]) is None else min(size, known)
     return found
 
 

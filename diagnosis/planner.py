@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,8 @@ def plan(simulator: Simulator, rivals: Sequence[Side], *, error: float = 0.0, fi
     noise = floor_of(simulator.replica, finest) + error**2
     free = np.setdiff1d(np.arange(len(simulator.replica.nodes)), simulator.replica.driven)
     bounds = [_gap(p[0] - p[1], p[:0], noise, free) for _, _, p in found]
-    order, best, others = np.argsort(bounds)[::-1], None, {found[k][0].name: float(bounds[k]) for k in range(len(found))}
+    order, others = np.argsort(bounds)[::-1], {found[k][0].name: float(bounds[k]) for k in range(len(found))}
+    best: Any = None
     for k in order[:TRIED]:
         motion, moved, predicted = found[k]
         if best is not None and bounds[k] <= best[0]:
@@ -125,7 +127,7 @@ def experiment(inquiry: Inquiry, decision: Decision) -> tuple[str | None, dict |
     names = [n for n in (decision.effect, *decision.alternatives) if n]
     if decision.verdict not in ("ambiguous", "cannot_tell", "unknown") or not names:
         return None, None
-    words = {s.hypothesis.effect: s.hypothesis.term.effect.motion for s in inquiry.scores}
+    words = {s.hypothesis.effect: s.hypothesis.term.stands_for().motion for s in inquiry.scores}
     shown = "; ".join(f"{words[n]} ({n.replace('_', ' ')})" for n in names if words.get(n))
     by_word = f"What shows each: {shown}." if shown else None
     found = _planned(inquiry, names, decision.verdict) if decision.verdict != "unknown" else None
@@ -143,7 +145,7 @@ def _planned(inquiry, names, verdict) -> Plan | None:
         if not mine:
             return None
         one = max(mine, key=lambda r: r.promise)
-        rivals.append(Side(name.replace("_", " "), one.score.hypothesis.term.effect.says, one.found.fit))
+        rivals.append(Side(name.replace("_", " "), one.score.hypothesis.term.stands_for().says, one.found.fit))
         twins.append(one.found)
     if verdict != "ambiguous":
         rivals.append(Side("nothing", "nothing is missing", inquiry.base.fit))

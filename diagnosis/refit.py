@@ -52,7 +52,7 @@ def refit(task: Task, base: Fit, scores: Sequence[Score], *, iterations: int, sp
     for score in scores:
         near, far = _starts(base, _extended(base, score, spacing), score)
         ways = [(_extended(base, score, spacing), starts) for starts in (near, far) if starts]
-        if far and score.hypothesis.term.effect.place:
+        if far and score.hypothesis.term.stands_for().place:
             same = [s for s in others if s.hypothesis.term is score.hypothesis.term and s is not score][:ELSEWHERE]
             ways[-1] = min([ways[-1], *(_far(base, s, spacing) for s in same)], key=lambda way: _costs(task, *way).min())
         begun = [(model, starts[int(np.argmin(_costs(task, model, starts)))]) for model, starts in ways]

@@ -10,7 +10,7 @@ from ..datasets.scenario import Observed
 from ..methods.continuum.chains import apart, marked_chains, rope_chains
 from ..methods.registration import rigid_transform
 from ..physics.hinges import natural_curvature
-from ..physics.system import System
+from ..physics.system import FILLED, System
 from ..physics.topology import object_springs, rope_hinges, sheet_hinges
 from .hands import hand_ties, rope_exits
 from .matching import material_coordinates
@@ -113,7 +113,7 @@ class _Body:
     springs: np.ndarray
     chains: tuple[np.ndarray, ...]
     hinges: np.ndarray
-    facets: np.ndarray | None
+    facets: np.ndarray
     masses: np.ndarray
     home: np.ndarray
 
@@ -157,7 +157,7 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
         controllers=recording.controllers,
         grips=grips,
         hinges=body.hinges,
-        natural=natural_curvature(positions, body.hinges, body.chains) if body.chains else None,
+        natural=natural_curvature(positions, body.hinges, body.chains) if body.chains else FILLED,
         chains=body.chains,
         facets=body.facets,
         velocities=_start_velocity(early, positions, recording.fps),
@@ -197,7 +197,7 @@ def _drawn(recording, nodes, like, held, fitted) -> _Body:
     home = _home(recording, positions, like)
     chains = _alike(chains, home, like)
     hinges = np.concatenate([rope_hinges(c) for c in chains]) if chains else sheet_hinges(positions, springs)
-    facets = None if chains else facets_of(recording, positions, springs, own)
+    facets = FILLED if chains else facets_of(recording, positions, springs, own)
     masses = _masses(recording, positions, len(held), chains if marked else ())
     return _Body(positions, sightings, own, springs, chains, hinges, facets, masses, home)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from html import escape
 from pathlib import Path
 from string import Template
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,8 @@ def write_report(result: dict, evidence: dict[str, np.ndarray], path: str | Path
     Raises ValueError where the verdict is unknown, an array has a wrong shape, or ``result`` holds what JSON cannot.
     """
     path = Path(path)
-    text = _page(plain(result), evidence)
+    said: Any = plain(result)
+    text = _page(said, evidence)
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="replace")
 
@@ -50,13 +52,13 @@ def _page(result: dict, evidence: dict[str, np.ndarray]) -> str:
     marked = list((result.get("where") or {}).get("points") or [])
     marked += [point for one in said.get("clusters") or [] for point in one.get("points") or []]
     views = [view(evidence, i, one, marked if one.get("role") == "case" else ()) for i, one in enumerate(records)]
-    code = script(*map(asset, SCRIPTS))
+    code = script(*(asset(name) for name in SCRIPTS))
     parts = {
         "title": escape(f"Diagnosis of {names[0]}"),
         "policy": policy(code),
-        "style": "".join(map(asset, STYLES)),
+        "style": "".join(asset(name) for name in STYLES),
         "script": code,
-        "verdict": escape(VERDICTS.get(result.get("verdict"), "")),
+        "verdict": escape(VERDICTS.get(str(result.get("verdict")), "")),
         "headline": escape(headline(result)),
         "improvement": escape(improvement(result)),
         "facts": tables.facts(result),

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,8 @@ def screen(task: Task, base: Fit, hypotheses: Sequence[Hypothesis], parts: Seque
         at += len(h.knobs)
         columns = [np.stack([r.column[k] for r in mine], 1) for k in range(len(parts))]
         blind = [judged(task, part, h.follows) for part in parts]
-        scores.append(_score(h, *(_without(of, blind) for of in (mine[0].origin, nuisance, columns)), parts, by_frame))
+        origin, others, own = (_without(of, blind) for of in (mine[0].origin, nuisance, columns))
+        scores.append(_score(h, origin, others, own, parts, by_frame))
     return scores
 
 
@@ -85,7 +87,8 @@ def confirm(task: Task, base: Fit, scores: Sequence[Score], parts: Sequence[Part
         shows = {part.name: 0.0 for part in parts}
         if id(turn) in response:
             r, blind = response[id(turn)], [judged(task, part, score.hypothesis.follows) for part in parts]
-            for part, e, n, u, frames in zip(parts, *(_without(of, blind) for of in (r.origin, nuisance, r.column)), by_frame, strict=True):
+            of_part = (_without(of, blind) for of in (r.origin, nuisance, r.column))
+            for part, e, n, u, frames in zip(parts, *of_part, by_frame, strict=True):
                 shows[part.name] = _shows(e, n, u, frames)
         out.append(replace(score, shows=score.shows | shows))
     return out
@@ -104,7 +107,7 @@ def _responses(task, base, turns, parts):
     groups = defaultdict(list)
     for k, turn in enumerate(turns):
         groups["one" if turn.hypothesis.term.stage in STAGES_IN_ONE else turn.hypothesis.term].append(k)
-    found: list[Response | None] = [None] * len(turns)
+    found: list[Any] = [None] * len(turns)  # a ``Response`` each, once their group has been
     nuisance, by_frame = None, []
     trials, widths = turned(base.model, base.z)
     substeps = [ceil(MARGIN * n) for n in task.substeps(base.model, base.z)]

@@ -131,7 +131,7 @@ class Decision:
 
 def calibration() -> Calibration:
     """The calibration that ships with twinbench."""
-    return Calibration(**json.loads(resources.files(__package__).joinpath("calibration.json").read_text()))
+    return Calibration(**json.loads(resources.files(str(__package__)).joinpath("calibration.json").read_text()))
 
 
 def left(gain: float) -> float:
@@ -213,6 +213,7 @@ def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
     distance between nodes, and the kind of body.
     """
     others = [part for part in inquiry.parts if part.name != "train"]
+    assert inquiry.yardstick is not None  # a whole inquiry has it
     gains = [left(inquiry.yardstick.gain(part.name, "foreseen")) for part in others]
     best = max([_worth(r.features) for r in found if r.term], default=0.0)
     asked = {p.name: floor_of(inquiry.simulators[p.index].replica, inquiry.finest) for p in inquiry.parts}
@@ -266,7 +267,8 @@ def alike(inquiry: Inquiry) -> list[tuple[str, str]]:
     pairs = {("camera_pose", "ground_pose")}
     for one, other in combinations(best, 2):
         if abs(float(one.direction @ other.direction)) > ALIKE and one.hypothesis.effect != other.hypothesis.effect:
-            pairs.add(tuple(sorted((one.hypothesis.effect, other.hypothesis.effect))))
+            first, second = sorted((one.hypothesis.effect, other.hypothesis.effect))
+            pairs.add((first, second))
     return sorted(pairs)
 
 

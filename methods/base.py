@@ -143,7 +143,7 @@ class Method(ABC):
         ``progress(stage, fraction)`` may be called as work goes on. Deterministic for a seed on one device.
         """
 
-    def skip(self, scenario: Scenario) -> str | None:
+    def skip(self, scenario: Scenario | Observed) -> str | None:
         """Why this method cannot run on ``scenario``, or None."""
         return None
 

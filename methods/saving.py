@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 __all__ = ["read", "write"]
 
 
-def write(folder: Path | str, arrays: dict[str, np.ndarray], state: dict) -> None:
+def write(folder: Path | str, arrays: dict[str, Any], state: dict) -> None:
     """Write ``arrays`` and ``state``, which JSON can say, into ``folder``, which is made where it is not there."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

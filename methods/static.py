@@ -50,7 +50,7 @@ class Static(Method):
     """Holds frame 0."""
 
     name = "static"
-    twin_class = StaticTwin
+    twin_class: type[StaticTwin] = StaticTwin
 
     def fit(self, observed, *, budget, seed=0, device="cpu", progress=None) -> StaticTwin:
         return self.twin_class.of(observed[0])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ..datasets.collection import nearest
 from ..datasets.scenario import Observed, Scenario
+from ..spelling import nearest
 from .appearance.config import quirks_named
 from .base import Method
 from .modules import modules_of
@@ -53,7 +54,7 @@ class Variant:
             raise ValueError(f"{self.name}: {error}") from error
 
     def __call__(self) -> Method:
-        method = get_method(self.method)
+        method: Any = get_method(self.method)
         if self.config:
             method.presets = {preset: changed(config, self.config) for preset, config in method.presets.items()}
         if self.stages is not None:
@@ -88,7 +89,7 @@ class Variant:
         return own if self.cameras is None else _with(own)
 
 
-def changed(config, changes: Mapping[str, object]):
+def changed(config: Any, changes: Mapping[str, object]):
     """A copy of a frozen dataclass with fields changed, "a.b" being field ``b`` of field ``a``.
 
     Raises ValueError with the nearest known name for an unknown field.
@@ -98,7 +99,8 @@ def changed(config, changes: Mapping[str, object]):
         known = [f.name for f in fields(config)] if is_dataclass(config) else []
         if name not in known:
             raise ValueError(f"{type(config).__name__} has no {name!r}; {nearest(name, known)}")
-        config = replace(config, **{name: changed(getattr(config, name), {rest: value}) if rest else value})
+        made: Any = config  # of a dataclass, as its fields say
+        config = replace(made, **{name: changed(getattr(config, name), {rest: value}) if rest else value})
     return config
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,8 @@ def view(prediction: Prediction, scenario: Scenario, frame: int, *, corrected: b
 
 def _recorded(scenario: Scenario, frame: int, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Colour (H, W, 3) and the masks (H, W) of object and human."""
-    images, found = scenario.images, []
+    images: Any = scenario.images  # who asks for a view has images
+    found = []
     for kind, read in (("image", images.color), ("mask", images.mask), ("human mask", images.human_mask)):
         try:
             found.append(np.asarray(read(CAMERA, frame)))

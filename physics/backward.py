@@ -18,7 +18,7 @@ from .cells_back import make_back_cells
 from .finding import lowest
 from .forward import HELD_MASS, node_functions, recalling, sighting
 from .layers import make_back_layers
-from .native import barrier
+from .native import ABSENT, barrier
 from .outside import make_back_outside
 from .paths import give_path, give_speed, speed
 from .rods_back import make_back_rods
@@ -39,20 +39,20 @@ def make_backward(kit):
     load_contact, load_move = load["contact"], load["move"]
     skinned, filled, easing, branching = kit.skinned, kit.filled, kit.easing, kit.branching
     pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
-    back_crease, back_panel, back_fold, redraped = make_back_shells(kit) if draping else (None, None, None, None)
+    back_crease, back_panel, back_fold, redraped = make_back_shells(kit) if draping else (ABSENT, ABSENT, ABSENT, ABSENT)
     layered, load_layer = kit.layered, load["layer"]
-    back_meet_layers, relayered = make_back_layers(kit) if layered else (None, None)
+    back_meet_layers, relayered = make_back_layers(kit) if layered else (ABSENT, ABSENT)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
-    back_meet, remet = make_back_outside(kit) if pointed else (None, None)
-    back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (None, None, None)
-    back_press, grown, back_pressed = make_back_skin(kit) if skinned else (None, None, None)
-    back_bend, back_turn, regained = make_back_rods(kit) if hinged else (None, None, None)
+    back_meet, remet = make_back_outside(kit) if pointed else (ABSENT, ABSENT)
+    back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (ABSENT, ABSENT, ABSENT)
+    back_press, grown, back_pressed = make_back_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT)
+    back_bend, back_turn, regained = make_back_rods(kit) if hinged else (ABSENT, ABSENT, ABSENT)
     get_x, get_v, sum3, sum_axial, sum_strand, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.sum_strand, kit.give
     node, end = node_functions(kit)
     back_move = _back_move(kit)
     back_push = _back_push(kit)
     back_pull = _back_pull(kit)
-    back_contacts = _back_contacts(kit, back_push) if colliding else None
+    back_contacts = _back_contacts(kit, back_push) if colliding else ABSENT
     give_axial, give_strand = kit.give_all["axial"], kit.give_all["strand"]
 
     @wp.func

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import torch
@@ -130,7 +131,7 @@ class Batch:
         systems = self.systems
         sizes = np.array([s.particle_count for s in systems])
         hands = [np.flatnonzero(s.grips < 0) for s in systems]  # controllers that are nodes of their own
-        nodes = sizes + [len(h) for h in hands]
+        nodes = sizes + np.array([len(h) for h in hands])
         start = np.concatenate([[0], np.cumsum(nodes)])
         path_start = np.concatenate([[0], np.cumsum([s.controllers.shape[1] for s in systems])])
         frames = max(len(s.controllers) for s in systems)
@@ -261,7 +262,7 @@ class Batch:
 
     def column(self, name: str) -> int:
         """The parameter table's column called ``name``."""
-        from ..datasets.collection import nearest
+        from ..spelling import nearest
 
         if name not in self.columns:
             raise ValueError(f"no term of this batch has a parameter {name!r}; {nearest(name, [c for c in self.columns if c[0] != '_'])}")
@@ -313,7 +314,7 @@ class Batch:
         """Whether ropes of this batch have directors that a law feels."""
         return self.hinged and len(self.inputs.directors) > 0
 
-    def march(self, frame: int, frames: int, inputs: Inputs | None = None, *, whole: bool = False):
+    def march(self, frame: int, frames: int, inputs: Inputs | None = None, *, whole: bool = False) -> Any:
         """Simulate ``frames`` frames from ``frame`` on: positions (frames, nodes, 3) at their ends and the final x and v (nodes, 3).
 
         With ``whole`` a ``Carried`` follows them: the rest of the state, to go on from there as if there had been no break.

@@ -9,12 +9,14 @@ from __future__ import annotations
 import inspect
 import math
 import re
+from typing import Any
 
 import warp as wp
 
 from ..datasets.plugins import Kind, Origin, discover
 from .parameters import Parameter
-from .terms.base import ARGUMENTS, STAGES, Effect, Term
+from .terms.base import Effect, Term
+from .terms.stages import ARGUMENTS, STAGE_CLASSES, STAGES
 
 __all__ = ["KIND", "terms"]
 
@@ -31,6 +33,8 @@ def _accept(offer: type[Term], origin: Origin, known) -> type[Term]:
     _check_name("a term", offer.name)
     if getattr(offer, "stage", None) not in STAGES:
         raise ValueError(f"stage must be one of {', '.join(STAGES)}, got {getattr(offer, 'stage', None)!r}")
+    if not issubclass(offer, wanted := STAGE_CLASSES[offer.stage]):
+        raise ValueError(f"a term of stage {offer.stage!r} must be a subclass of {wanted.__name__} (physics/terms/stages.py)")
     _check_law(offer)
     _check_parameters(offer, known)
     if offer.effect is not None:
@@ -45,16 +49,20 @@ def _check_name(of: str, name) -> None:
 
 def _check_law(term: type[Term]) -> None:
     for name, wanted in {"law": term.stage in ARGUMENTS, "evolve": "q" in ARGUMENTS.get(term.stage, ())}.items():
-        law = getattr(term, name)
-        if not wanted and law is not None:
-            raise ValueError(f"a term of stage {term.stage!r} has no {name}")
-        if wanted and not isinstance(law, wp.Function):
+        law: Any = getattr(term, name, None)
+        if not wanted:
+            if law is not None:
+                raise ValueError(f"a term of stage {term.stage!r} has no {name}")
+            continue
+        if not isinstance(law, wp.Function):
             raise ValueError(f"{name} must be a function with @wp.func, got {law!r}")
         arguments = [*ARGUMENTS.get(term.stage, ()), *(["dt"] if name == "evolve" else []), "p", "o"]
-        if wanted and len(inspect.signature(law.func).parameters) != len(arguments):
+        if len(inspect.signature(law.func).parameters) != len(arguments):
             raise ValueError(f"{name} must take ({', '.join(arguments)}), as stage {term.stage!r} says, got {inspect.signature(law.func)}")
     if callable(getattr(term, "prepare", None)) != (term.stage == "setup"):
         raise ValueError(f"a term of stage {term.stage!r} must have {'a' if term.stage == 'setup' else 'no'} prepare")
+    if missing := ", ".join(sorted(term.__abstractmethods__)):
+        raise ValueError(f"a term of stage {term.stage!r} must have {missing}")
 
 
 def _check_parameters(term: type[Term], known) -> None:

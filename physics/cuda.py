@@ -11,6 +11,7 @@ import hashlib
 import os
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 __all__ = ["Program", "available", "compiled", "known_architectures"]
 
@@ -34,7 +35,7 @@ class _Config(ctypes.Structure):
 
 
 @cache
-def _compiler():
+def _compiler() -> Any:
     """NVRTC of torch's CUDA version, or None."""
     import torch
 
@@ -51,7 +52,8 @@ def _compiler():
 
 
 @cache
-def _driver():
+def _driver() -> Any:
+    """The CUDA driver, or None."""
     try:
         return ctypes.CDLL("libcuda.so.1")
     except OSError:

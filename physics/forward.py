@@ -6,7 +6,7 @@ from .cell_lanes import abreast, make_lanes
 from .cells import make_cells, starts
 from .finding import lowest
 from .layers import make_layers
-from .native import barrier
+from .native import ABSENT, barrier
 from .outside import make_outside
 from .paths import along, speed
 from .quads import QUAD
@@ -86,21 +86,21 @@ def make_forward(kit):
     load_contact, load_move = load["contact"], load["move"]
     hinged, skinned, filled, easing = kit.hinged, kit.skinned, kit.filled, kit.easing
     pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
-    crease, panel, draped = make_shells(kit) if draping else (None, None, None)
+    crease, panel, draped = make_shells(kit) if draping else (ABSENT, ABSENT, ABSENT)
     layered, load_layer = kit.layered, load["layer"]
-    meet_layers, met_layers = make_layers(kit) if layered else (None, None)
+    meet_layers, met_layers = make_layers(kit) if layered else (ABSENT, ABSENT)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
-    meet, met_points = make_outside(kit) if pointed else (None, None)
-    strain, drag, squeezed = make_cells(kit) if filled or easing else (None, None, None)
+    meet, met_points = make_outside(kit) if pointed else (ABSENT, ABSENT)
+    strain, drag, squeezed = make_cells(kit) if filled or easing else (ABSENT, ABSENT, ABSENT)
     alone, vector = easing and half, abreast(8 if kit.R is wp.float64 else 4)
-    law_of, integrated, placed, damped = make_lanes(kit) if alone else (None, None, None, None)
-    contraction = starts(kit)[0] if alone else None
-    bulk, swollen, press, pressed = make_skin(kit) if skinned else (None, None, None, None)
-    bend, bent, turn = make_rods(kit) if hinged else (None, None, None)
+    law_of, integrated, placed, damped = make_lanes(kit) if alone else (ABSENT, ABSENT, ABSENT, ABSENT)
+    contraction = starts(kit)[0] if alone else ABSENT
+    bulk, swollen, press, pressed = make_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT, ABSENT)
+    bend, bent, turn = make_rods(kit) if hinged else (ABSENT, ABSENT, ABSENT)
     get_x, get_v, put, find, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.find, kit.sum3, kit.sum4, kit.four
     node, end = node_functions(kit)
     note, noted_mass = kit.noting
-    others, stretched, pushed, quad = kit.quads or (None, None, None, four)
+    others, stretched, pushed, quad = kit.quads or (ABSENT, ABSENT, ABSENT, four)
     by_fours = kit.quads is not None
     sighted = sighting(kit)
     strand_of = recalling(kit)

@@ -25,7 +25,7 @@ from .finding import finder, noting
 from .laws import Laws
 from .native import WARP, adder, lane_sum, state_access
 from .quads import quads
-from .terms.base import STAGED
+from .terms.stages import STAGED
 
 __all__ = ["Kernels", "build"]
 

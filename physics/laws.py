@@ -8,7 +8,8 @@ import warp as wp
 
 from .materials import fuse_material
 from .sums import summed
-from .terms.base import STAGES, Term
+from .terms.base import Term
+from .terms.stages import STAGES
 
 __all__ = ["Laws"]
 
@@ -19,7 +20,7 @@ class Laws:
 
     terms: tuple[type[Term], ...]
 
-    def stage(self, stage: str) -> list[tuple[type[Term], int]]:
+    def stage(self, stage: str) -> list[tuple[Any, int]]:
         """(term, offset of its first parameter) of every term at ``stage``, in order."""
         found, offset = [], 0
         for term in self.terms:

@@ -40,7 +40,8 @@ def side_by_side(system, edges, reach: float):
 def assemble_layers(systems, starts, wanted: bool) -> dict[str, np.ndarray]:
     """Constants of the search: every system's edges, then its vertices, then its triangles, neighbours in groups. Nothing where it is not
     ``wanted``."""
-    items, first, kin_row, kin, groups = [], [], [[0]], [], []
+    items, first, kin, groups = [], [], [], []
+    kin_row: list = [[0]]
     begun = known = 0
     for system, start in zip(systems, starts, strict=False):
         vertices, edges, faces = edges_and_faces(system) if wanted else (np.zeros((0, n), int) for n in (1, 2, 3))

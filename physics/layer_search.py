@@ -24,7 +24,7 @@ import warp as wp
 
 from .hinges import incidence
 from .layers import ACCELERATION, CARRIED, nearest_places
-from .terms.base import STAGES
+from .terms.stages import STAGES
 
 __all__ = ["SEARCH", "Pairs", "seek_layers"]
 
@@ -46,7 +46,7 @@ class Pairs(SimpleNamespace):
         """No candidates."""
         if "none" in vars(batch.layer_scratch):
             return cls(**batch.layer_scratch.none)
-        made = dict(dtype=torch.int32, device=batch.device)
+        made: dict[str, Any] = dict(dtype=torch.int32, device=batch.device)
         batch.layer_scratch.none = dict(
             pair=torch.zeros((0, 4), **made),
             pair_edges=torch.zeros(0, **made),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from .cell_lanes import ROWS, abreast
 from .contacts import seek
 from .layer_search import Pairs, seek_layers
-from .terms.base import CELLS, SHEETS, STAGED
+from .terms.stages import CELLS, SHEETS, STAGED
 
 __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
 
@@ -191,8 +192,9 @@ class World(Carrier):
 
     def pair(self, layers: Pairs) -> None:
         """Take ``layers`` as the candidates among them."""
-        count, real = len(layers.pair), dict(dtype=self._batch.dtype, device=self._batch.device)
-        whole = dict(dtype=torch.int32, device=self._batch.device)
+        count = len(layers.pair)
+        real: dict[str, Any] = dict(dtype=self._batch.dtype, device=self._batch.device)
+        whole: dict[str, Any] = dict(dtype=torch.int32, device=self._batch.device)
         self.set(**vars(layers), meeting=torch.zeros((self._kept, count), **whole), pair_wake=torch.zeros(count, **whole))
         self.set(pair_force=torch.empty((count, 3), **real), pair_weight=torch.empty((count, 4), **real))
 
@@ -200,7 +202,7 @@ class World(Carrier):
         """The tensors of ``STATE`` at the end of a stretch."""
         batch, slots = self._batch, stretch.count % self.slots
         alike = int(slots[0]) if (slots == slots[0]).all() else None
-        slot = None if alike is not None else batch.kept_ints(slots).long()
+        slot: Any = None if alike is not None else batch.kept_ints(slots).long()
 
         def at(arrays, system, place=None):
             """Of ``arrays`` (slots, N, ...), those of each one's system at the end; only ``place`` (K,) of them if it is given."""
@@ -320,9 +322,11 @@ class March(torch.autograd.Function):
             fresh = stretch.horizon is not None
             sought = seek(batch, state[0], values["table"]) if batch.colliding and fresh else None
             if world is None or keep:
-                world = World(batch, values, *state, near, layers, stretch.history if keep else 2, out[stretch.frame :])  # meanwhile
+                world = World(
+                    batch, values, *state, near=near, layers=layers, slots=stretch.history if keep else 2, out=out[stretch.frame :]
+                )  # meanwhile
             else:
-                world.go_on(*state, out[stretch.frame :])
+                world.go_on(*state, out=out[stretch.frame :])
             if sought:
                 near = sought()
                 world.set(near_row=near[0], near=near[1])
@@ -347,12 +351,12 @@ class March(torch.autograd.Function):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), ctx.saved_tensors, strict=True)}
         given = g_out.contiguous()
         wanted = {f.name for f, needed in zip(fields(Inputs), ctx.needs_input_grad[3:], strict=True) if needed}
-        adjoint = Adjoint(batch, values, *g_state, given, wanted)
+        adjoint = Adjoint(batch, values, *g_state, out=given, wanted=wanted)
         scratch = torch.empty_like(g_out)
         for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             world, ctx.world = ctx.world, None  # outputs that somebody still holds keep this context; a second way back recomputes
             if world is None:
-                world = World(batch, values, *start, stretch.history, scratch[stretch.frame :])
+                world = World(batch, values, *start, slots=stretch.history, out=scratch[stretch.frame :])
                 batch.forward(world, ctx.frame, stretch)
             adjoint.set(out=given[stretch.frame :])
             if batch.layered:

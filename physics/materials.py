@@ -207,7 +207,7 @@ def point_twin(terms, deformed, rate, home, at, q, dt: float):
     deformed and rate (..., 3, 3), home and at (..., 3), q as the memory that is returned
     """
     stages = {s: [t for t in terms if t.stage == s] for s in ("growth", "flow", "solid", "material", "branch")}
-    mu, lame = (sum(m) for m in zip(*(t.twin_moduli(**t.values) for t in stages["solid"] if t.moduli is not None), strict=True))
+    mu, lame = (sum(m) for m in zip(*(t.twin_moduli(**t.values) for t in stages["solid"]), strict=True))
     flows, after = len(stages["flow"]), np.array(q, float)
     grown = np.eye(3) + sum(t.twin(at, **t.values) for t in stages["growth"])
     shape = grown + after[..., :flows, :, :].sum(-3)

@@ -3,11 +3,14 @@
 On a CPU each of them is the plain thing.
 """
 
+from typing import Any
+
 import warp as wp
 
-__all__ = ["WARP", "adder", "barrier", "lane_sum", "state_access"]
+__all__ = ["ABSENT", "WARP", "adder", "barrier", "lane_sum", "state_access"]
 
 WARP = 32  # threads of a GPU that go together
+ABSENT: Any = None  # in the place of a function that a kernel leaves out: its calls stand behind ``wp.static``
 
 _BARRIER = """
 #if defined(__CUDA_ARCH__)

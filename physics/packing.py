@@ -81,7 +81,7 @@ def key_of(system: System, linked: bool) -> tuple:
     """What a packing depends on."""
     digest = hashlib.blake2b(digest_size=16)
     for array in (system.springs, system.positions, system.grips):
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest(), len(system.positions), len(system.springs), linked
 
 
@@ -247,7 +247,7 @@ def _packed(system, linked, shape, device):
         nodes=total,
         springs=len(system.springs),
         most_slots=int(slots.max()),
-        most_steps=tuple(int(steps[turn == k].max(initial=0)) for k in range(2)),
+        most_steps=(int(steps[turn == 0].max(initial=0)), int(steps[turn == 1].max(initial=0))),
     )
 
 

@@ -12,6 +12,7 @@ import ctypes
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
+from typing import Any
 from weakref import ref
 
 import numpy as np
@@ -120,7 +121,8 @@ def shapes(systems: int, ends: int, particles: int, chip: int, largest: int) -> 
 
 def joined(packings: list[Packing]) -> dict[str, np.ndarray]:
     """One layout of many systems: arrays of their packings end to end, ``blocks`` with the number of its system in front."""
-    parts, at = {f.name: [] for f in fields(Packing)}, dict.fromkeys(("row", "slice", "slot", "driven", "pull", "send", "entry", "end"), 0)
+    parts: dict[str, list] = {f.name: [] for f in fields(Packing)}
+    at: dict[str, int] = dict.fromkeys(("row", "slice", "slot", "driven", "pull", "send", "entry", "end"), 0)
     node = spring = 0
     for k, p in enumerate(packings):
         first = [at["row"], 0, at["slice"], 0, at["slot"], 0, at["driven"], 0, at["pull"], 0, 0]
@@ -167,7 +169,7 @@ class Engine:
         self.constant = self._constant()
 
     @property
-    def batch(self):
+    def batch(self) -> Any:
         return self._batch()
 
     def _shared(self, forward):

@@ -106,7 +106,7 @@ class Sheet:
     @cached_property
     def bent_areas(self) -> np.ndarray:
         """(F,) m^2 for which a triangle's curvature stands: its own, and that of neighbours on the rim that can do without theirs."""
-        whole, found = (self.sides >= 0).all(1), self.areas.copy()
+        whole, found = np.asarray((self.sides >= 0).all(1)), self.areas.copy()
         beside = [[] for _ in self.folds]
         for f, sides in enumerate(self.sides.tolist()):
             for h in sides:

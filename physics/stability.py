@@ -15,7 +15,7 @@ from .rounds import reach
 from .sheets import internal_forces as sheet_forces
 from .solids import damping_forces, internal_forces
 from .system import System
-from .terms.base import CELLS, SHEETS
+from .terms.stages import CELLS, SHEETS, HardTerm, SolidTerm
 
 __all__ = ["stable_rounds", "stable_step", "stable_substeps"]
 
@@ -74,7 +74,7 @@ def stable_step(system: System) -> float:
     mu = float((damping[inside] / system.masses[inside]).max())
     lam, mu = lam + _sheet_fastest(system, free, damping=False), mu + _sheet_fastest(system, free, damping=True)
     for term in system.terms:
-        if term.hardness is not None:
+        if isinstance(term, HardTerm):
             hard = term.hardness(**term.values)
             lam, mu = lam + hard[0], mu + hard[1]
 
@@ -97,7 +97,9 @@ def _fastest(system, free, stage):
     if not terms or system.grid is None:
         return 0.0
     x, free = system.positions, free[: system.particle_count]
-    mu, lame = (sum(m) for m in zip((0.0, 0.0), *(t.twin_moduli(**t.values) for t in system.terms if t.moduli is not None), strict=True))
+    mu, lame = (
+        sum(m) for m in zip((0.0, 0.0), *(t.twin_moduli(**t.values) for t in system.terms if isinstance(t, SolidTerm)), strict=True)
+    )
     lateral = lame / max(lame + 2 * mu, 1e-30)
     home, at = point_sites(system)
     fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in terms), 3, 3))

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from .terms.base import ARGUMENTS
+from .terms.stages import ARGUMENTS
 
 __all__ = ["summed"]
 

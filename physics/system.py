@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ..datasets.collection import nearest
+from ..spelling import nearest
 from .grids import Grid
 from .hinges import Ropes
 from .points import Points
 from .sheets import Sheet
-from .terms.base import STAGES, Term
+from .terms.base import Term
+from .terms.stages import STAGES, SolidTerm
 
-__all__ = ["System"]
+__all__ = ["FILLED", "System"]
+
+FILLED: Any = None  # the default of a field that gets a value when the system is made, as its docstring says
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,17 +52,17 @@ class System:
     springs: np.ndarray
     stiffness: np.ndarray
     controllers: np.ndarray
-    terms: tuple[Term, ...]
-    velocities: np.ndarray | None = None
-    masses: np.ndarray | None = None
-    rest: np.ndarray | None = None
-    grips: np.ndarray | None = None
-    hinges: np.ndarray | None = None
-    natural: np.ndarray | None = None
-    span: np.ndarray | None = None
-    flexure: np.ndarray | None = None
-    chains: tuple[np.ndarray, ...] = ()
-    facets: np.ndarray | None = None
+    terms: Sequence[Term]
+    velocities: np.ndarray = FILLED
+    masses: np.ndarray = FILLED
+    rest: np.ndarray = FILLED
+    grips: np.ndarray = FILLED
+    hinges: np.ndarray = FILLED
+    natural: np.ndarray = FILLED
+    span: np.ndarray = FILLED
+    flexure: np.ndarray = FILLED
+    chains: Sequence[np.ndarray] = ()
+    facets: np.ndarray = FILLED
     grid: Grid | None = None
     sheet: Sheet | None = None
     points: Points | None = None
@@ -134,12 +138,11 @@ class System:
             triangles = self.sheet.triangles
             refuse(outside, lambda f: f"a sheet must join particles 0 to {count - 1}, got {triangles[f].tolist()} at triangle {f}")
         if self.points is not None:
-            self._check_points(count, hands, refuse)
+            self._check_points(self.points, count, hands, refuse)
         if self.seen is not None:
             self._own_sightings(count)
 
-    def _check_points(self, count, hands, refuse):
-        points = self.points
+    def _check_points(self, points, count, hands, refuse):
         outside = ((points.nodes < 0) | (points.nodes >= count)).any(1)
         refuse(outside, lambda q: f"points must be carried by particles 0 to {count - 1}, got {points.nodes[q].tolist()} at point {q}")
         off = ~(np.abs(points.weights.sum(1) - 1) < 1e-6)
@@ -195,7 +198,7 @@ class System:
         sight = _array("sight", np.ones(seen.shape[:2]) if self.sight is None else self.sight, seen.shape[:2], False).copy()
         if (sight < 0).any():
             raise ValueError(f"sight must be >= 0, got {sight.min()}")
-        here = np.isfinite(seen).all(2)
+        here = np.asarray(np.isfinite(seen).all(2))
         sight[~here] = sight[-1] = 0
         sight[:-1][~here[1:]] = 0
         object.__setattr__(self, "seen", _array("seen", np.where(here[..., None], seen, 0.0), seen.shape, False))
@@ -274,6 +277,6 @@ def _checked_terms(terms):
             if owner.setdefault(name, term.name) != term.name:
                 raise ValueError(f"parameter names must be unique in a system, got {name} in both {owner[name]} and {term.name}")
     altering = [t.name for t in terms if t.stage in ("flow", "material", "branch")]
-    if altering and not any(t.moduli for t in terms):
+    if altering and not any(isinstance(t, SolidTerm) and t.moduli is not None for t in terms):
         raise ValueError(f"{altering[0]} alters the elasticity of a solid and needs a term that has one, such as neo_hookean; got none")
     return terms

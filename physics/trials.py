@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..datasets.plugins import said
 from .batch import Batch
 from .facets import solid_facets
 from .grids import embed
-from .system import System
+from .system import FILLED, System
 from .terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, KelvinVoigt, LinearDrag, NeoHookean, Springs, Term
-from .terms.base import CELLS
+from .terms.stages import CELLS
 from .topology import rope_hinges
 
 __all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "fault", "run", "thrown"]
@@ -24,13 +26,13 @@ STILL = np.zeros((1, 0, 3))  # a path of no controllers
 AIR = (Springs, Dashpot, Gravity, LinearDrag, Ground, ControllerSprings)
 
 
-def body(positions, *extra, springs=(), stiffness=(), controllers=STILL, velocities=None, **options):
+def body(positions, *extra, springs=(), stiffness=(), controllers=STILL, velocities=FILLED, **options: Any):
     """A system of which only what is given here acts: ``extra`` terms, values of parameters, other fields of a system."""
     given = {k: options.pop(k) for k in ("masses", "rest", "grips", "seen", "hinges", "chains", "facets") if k in options}
     kinds = [k for k in AIR if not (k is Ground and any(e.stage == "move" for e in extra))]
     return System(
         positions=np.atleast_2d(positions),
-        velocities=None if velocities is None else np.atleast_2d(velocities),
+        velocities=FILLED if velocities is None else np.atleast_2d(velocities),
         springs=np.reshape(springs, (-1, 2)),
         stiffness=stiffness,
         controllers=controllers,
@@ -80,10 +82,10 @@ def thrown(term, share, table=True, *, roped=None):
     plane = {"adhesion_normal_z": 1.0} if extra == (GroundAdhesion,) else {}
     values = dict(gravity_z=-G, dashpot_damping=0.5, drag_damping=1.0, collide_elas=0.2, **(TABLE if table else {}), **plane)
     if extra and term.effect:
-        values |= {name: share * value for name, value in term.effect.typical.items()}
+        values |= {name: share * value for name, value in term.stands_for().typical.items()}
     if term in AIR:
         extra = ()
-    given = dict(
+    given: dict[str, Any] = dict(
         springs=[*springs.tolist(), *ties],
         stiffness=stiff,
         masses=np.full(len(x), 0.02),  # with one kilogram each, springs would hang at twice their length
@@ -94,7 +96,8 @@ def thrown(term, share, table=True, *, roped=None):
         facets=solid_facets(x[:count], radius=0.1),
         **hinged,
     )
-    return body(x, *extra, **given, **values)
+    given |= values
+    return body(x, *extra, **given)
 
 
 def foam(term, share, table=True):
@@ -114,13 +117,15 @@ def foam(term, share, table=True):
         velocities=rng.normal(size=rest.shape) * 0.01,
         masses=grid.masses(100.0),
         springs=np.zeros((0, 2), int),
-        stiffness=[],
+        stiffness=np.zeros(0),
         controllers=np.concatenate([np.repeat(rest[None, left], 11, 0), rest[right] + lead], 1),
         grips=np.concatenate([left, right]),
         terms=[*kinds, *extra],
         grid=grid,
     )
-    return system.with_values(**{name: share * value for name, value in term.effect.typical.items()}) if extra else system
+    if share is None or not extra:
+        return system
+    return system.with_values(**{name: share * value for name, value in term.stands_for().typical.items()})
 
 
 def run(*args, **options):

@@ -11,9 +11,10 @@ from twinbench.datasets.concealed import bodies, laws, motions
 from twinbench.datasets.concealed.bodies import Body, cloth, lumped, plush, rope
 from twinbench.datasets.concealed.case import CONTROLS, _scripts, build, rms
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE, Occasion
-from twinbench.datasets.concealed.engine import Physics, Unstable, World, simulate
+from twinbench.datasets.concealed.engine import World, simulate
 from twinbench.datasets.concealed.motions import Script
 from twinbench.datasets.concealed.sensing import Faults, Tracker, observe
+from twinbench.datasets.concealed.world import Physics, Unstable
 from twinbench.datasets.phystwin import read_case
 from twinbench.datasets.phystwin_layout import PhysTwinLayout
 from twinbench.datasets.synthetic.interactions import Interaction

@@ -9,7 +9,6 @@ import pytest
 from twinbench.datasets.concealed import bodies, laws
 from twinbench.datasets.concealed.bodies import Body, lumped
 from twinbench.datasets.concealed.case import build
-from twinbench.datasets.concealed.engine import Obstacle, Physics, Unstable
 from twinbench.datasets.concealed.engines import ENGINES, engine
 from twinbench.datasets.concealed.finite import World, simulate
 from twinbench.datasets.concealed.finite.contact import gaps
@@ -17,6 +16,7 @@ from twinbench.datasets.concealed.finite.continuum import Continuum
 from twinbench.datasets.concealed.finite.rods import Rod, turned
 from twinbench.datasets.concealed.finite.shells import Creases
 from twinbench.datasets.concealed.motions import Script
+from twinbench.datasets.concealed.world import Obstacle, Physics, Unstable
 from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.simulate import GRAVITY
 

@@ -6,7 +6,6 @@ from twinbench.benchmark.concealed import score
 from twinbench.datasets.concealed import bodies, convergence, motions
 from twinbench.datasets.concealed.case import build
 from twinbench.datasets.concealed.converge import main
-from twinbench.datasets.concealed.engine import Motion
 from twinbench.datasets.concealed.engines import engine
 from twinbench.datasets.concealed.finite import march
 from twinbench.datasets.concealed.finite.continuum import Continuum
@@ -14,6 +13,7 @@ from twinbench.datasets.concealed.finite.quadratic import Hexahedra, lumped
 from twinbench.datasets.concealed.motions import GENTLE, KINDS, Script
 from twinbench.datasets.concealed.sensing import Faults, Tracker, sensed
 from twinbench.datasets.concealed.stuffed import meshed
+from twinbench.datasets.concealed.world import Motion
 from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.objects import Plush
 from twinbench.datasets.synthetic.simulate import to_world
@@ -110,7 +110,8 @@ def test_mujocos_cells_have_the_same_stiffness_at_rest():
     pytest.importorskip("mujoco")
     body = bar((2, 1, 1), damping=0.0, friction=0.4, drag=0.1)
     script = Script("still", (Interaction("hand", grip=(-0.1, 0, 0.013), grip_radius=0.01),), 2)
-    from twinbench.datasets.concealed.engine import Physics, World
+    from twinbench.datasets.concealed.engine import World
+    from twinbench.datasets.concealed.world import Physics
 
     world = World(body, script, Physics(), 32)
     theirs = -world.model.flex_stiffness.reshape(-1, 81, 81)

@@ -12,11 +12,11 @@ from twinbench.datasets.concealed import newton_bodies as newton_engine
 from twinbench.datasets.concealed.bodies import Body, lumped
 from twinbench.datasets.concealed.case import build, rms
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
-from twinbench.datasets.concealed.engine import Obstacle, Physics, Unstable
 from twinbench.datasets.concealed.engines import able
 from twinbench.datasets.concealed.motions import Script
 from twinbench.datasets.concealed.newton_bodies import World, march, simulate
 from twinbench.datasets.concealed.newton_bodies.material import Elements
+from twinbench.datasets.concealed.world import Obstacle, Physics, Unstable
 from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.simulate import GRAVITY
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from twinbench.datasets.concealed import bodies, motions
 from twinbench.datasets.concealed.bodies import Body, lumped
-from twinbench.datasets.concealed.engine import Motion, Physics
 from twinbench.datasets.concealed.engines import engine
 from twinbench.datasets.concealed.finite import World
 from twinbench.datasets.concealed.finite.banded import Banded
@@ -16,6 +15,7 @@ from twinbench.datasets.concealed.finite.shells import Creases
 from twinbench.datasets.concealed.motions import Script
 from twinbench.datasets.concealed.sensing import Faults, Tracker, observe
 from twinbench.datasets.concealed.thin import triangulated
+from twinbench.datasets.concealed.world import Motion, Physics
 from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.simulate import GRAVITY, to_world
 from twinbench.methods.continuum.hands import bar_of, labels_of

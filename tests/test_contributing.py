@@ -25,7 +25,8 @@ def copy(tmp_path_factory):
     package = tmp_path_factory.mktemp("copy") / "twinbench"
     for room in ROOMS:
         shutil.copytree(ROOT / room, package / room, ignore=shutil.ignore_patterns("__pycache__", "sample"))
-    shutil.copy(ROOT / "__init__.py", package)
+    for file in ("__init__.py", "spelling.py"):
+        shutil.copy(ROOT / file, package)
     for name, text in FILES.items():
         assert not (package / name).exists(), f"{name} is an example, and the project has such a file"
         (package / name).write_text(text, encoding="utf-8")

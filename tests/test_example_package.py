@@ -112,14 +112,15 @@ BROKEN = """
 import warp as wp
 from typing import Any
 from twinbench.physics.parameters import Parameter
-from twinbench.physics.terms.base import Effect, Term
+from twinbench.physics.terms.base import Effect
+from twinbench.physics.terms.stages import BodyTerm
 
 
 def bad(name, law, parameter="{}", stage="body"):
     parameters = (Parameter(parameter.format(name), 0.0, -5.0, 5.0, "N s/m", "a force"),)
     effect = Effect(name, "something", amplitudes=(parameters[0].name,), typical={parameters[0].name: 0.5}, motion="any")
     given = {"name": name, "stage": stage, "parameters": parameters, "law": law, "effect": effect, "__doc__": "A law."}
-    return type(name.title(), (Term,), given)
+    return type(name.title(), (BodyTerm,), given | {"twin": staticmethod(lambda x, v, home, m, c: c * v)})
 
 
 @wp.func

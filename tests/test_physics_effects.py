@@ -33,10 +33,10 @@ from twinbench.physics.terms import (
     StribeckGround,
     Wind,
 )
-from twinbench.physics.terms.base import CELLS
 from twinbench.physics.terms.directional_ground import DirectionalGround
 from twinbench.physics.terms.mass_field import MassField
 from twinbench.physics.terms.soft_ground import SoftGround
+from twinbench.physics.terms.stages import CELLS
 from twinbench.physics.terms.stiffness_level import StiffnessLevel
 from twinbench.physics.trials import STILL, TABLE, G, body, run, thrown
 

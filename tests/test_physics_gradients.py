@@ -214,8 +214,8 @@ def test_a_way_back_is_freed_with_its_result(room, monkeypatch):
     kept = []
     real = march.World.__init__
 
-    def spy(self, *args):
-        real(self, *args)
+    def spy(self, *args, **named):
+        real(self, *args, **named)
         kept.append(weakref.ref(self))
 
     monkeypatch.setattr(march.World, "__init__", spy)
@@ -234,8 +234,8 @@ def test_a_history_is_freed_on_the_way_back_and_made_again_for_another(monkeypat
     # the result's context lives as long as the result; a fit holds that of the last window while it steps the next one
     kept, real = [], march.World.__init__
 
-    def spy(self, *args):
-        real(self, *args)
+    def spy(self, *args, **named):
+        real(self, *args, **named)
         kept.append(weakref.ref(self))
 
     monkeypatch.setattr(march.World, "__init__", spy)

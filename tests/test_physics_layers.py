@@ -374,7 +374,7 @@ def test_a_rotated_scene_is_the_same():
 
 def test_two_terms_of_layers_are_refused():
     class Other(LayerContact):
-        name, parameters, hardness = "other", (), None
+        name, parameters, hardness = "other", (), staticmethod(lambda: (0.0, 0.0))
 
     with pytest.raises(ValueError, match="a system can have one term of layers that meet, got layer_contact, other"):
         Batch([replace(crumpled(0), terms=[LayerContact(), Other()])], fps=30)

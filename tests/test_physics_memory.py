@@ -19,11 +19,11 @@ from twinbench.physics.parameters import Parameter
 from twinbench.physics.stability import stable_step
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Springs
-from twinbench.physics.terms.base import Term
 from twinbench.physics.terms.creep import Creep
 from twinbench.physics.terms.grip_slip import GripSlip
 from twinbench.physics.terms.internal_friction import InternalFriction
 from twinbench.physics.terms.plasticity import Plasticity
+from twinbench.physics.terms.stages import StrandTerm
 from twinbench.physics.terms.tearing import Tearing
 from twinbench.physics.terms.viscoelastic import Viscoelastic
 
@@ -295,14 +295,21 @@ def keep(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: A
     return t
 
 
-class Clock(Term):
+class Clock(StrandTerm):
     """A tension that grows with time; the memory is the time of the last substep."""
 
     name = "clock"
-    stage = "strand"
     parameters = (Parameter("clock", 1.0, 0.0, 10.0, "N/s", "growth"),)
     law = hour
     evolve = keep
+
+    @staticmethod
+    def twin(length, rate, rest, stiffness, link, middle, t, q, clock):
+        return clock * t
+
+    @staticmethod
+    def twin_evolve(length, rate, rest, stiffness, link, middle, t, q, dt, clock):
+        return t
 
 
 def test_time_is_that_since_frame_0():

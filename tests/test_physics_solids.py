@@ -22,7 +22,8 @@ from twinbench.physics.rounds import ease, reach
 from twinbench.physics.solids import damping_forces, gradients, internal_forces, strain_modes
 from twinbench.physics.stability import stable_rounds, stable_step
 from twinbench.physics.system import System
-from twinbench.physics.terms import Gravity, KelvinVoigt, NeoHookean, Term
+from twinbench.physics.terms import Gravity, KelvinVoigt, NeoHookean
+from twinbench.physics.terms.stages import ViscousTerm
 
 YOUNG, POISSON, DENSITY = 2e4, 0.3, 100.0
 LATERAL = POISSON / (1 - POISSON)
@@ -326,13 +327,17 @@ def grained(rate: Any, p: Any, o: int):
     return grain * rate * wp.transpose(grain) * p[o]
 
 
-class Grained(Term):
+class Grained(ViscousTerm):
     """S = eta G E' G^T: linear in the rate, and other in each direction."""
 
     name = "grained"
-    stage = "viscous"
     parameters = (Parameter("graininess", 200.0, 0.0, 1e6, "Pa s", "eta"),)
     law = grained
+
+    @staticmethod
+    def twin(rate, graininess):
+        grain = np.array([[1.0, 2, 0], [0, 1, 0], [1, 0, 3]])
+        return graininess * grain @ rate @ grain.T
 
 
 def test_damping_may_differ_by_direction():

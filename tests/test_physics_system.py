@@ -13,6 +13,7 @@ from twinbench.physics.points import Points
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, SelfCollision, Springs
 from twinbench.physics.terms.base import Term
+from twinbench.physics.terms.stages import BodyTerm, ContactTerm, MoveTerm
 
 COUNT, EDGES = 4, 4  # a chain of four particles; its last spring leads to controller 1, node 5
 
@@ -207,13 +208,13 @@ def pull_along_x(x: Any, v: Any, m: Any, p: Any, o: int):
     return f
 
 
-class Wind(Term):
+class Wind(BodyTerm):
     """A term whose parameter is called like another's."""
 
     name = "wind"
-    stage = "body"
     parameters = (Parameter("gravity_x", 1.0, 0.0, 2.0, "N", "a name that gravity has already"),)
     law = pull_along_x
+    twin = staticmethod(lambda x, v, home, m, gravity_x: np.array([gravity_x, 0.0, 0.0]))
 
 
 class Misplaced(Term):
@@ -221,16 +222,16 @@ class Misplaced(Term):
     stage = "bodi"
 
 
-class Bounce(Term):
+class Bounce(MoveTerm):
     """A second term that wants to move particles, or to be the contact."""
 
     name = "bounce"
-    stage = "move"
+    twin = staticmethod(lambda x, v, dt: (x, v))
 
 
-class Touch(Term):
+class Touch(ContactTerm):
     name = "touch"
-    stage = "contact"
+    twin = staticmethod(lambda xi, xj, vi, vj, mi, mj: 0 * vi)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from twinbench.physics.laws import Laws
 from twinbench.physics.parameters import Parameter
 from twinbench.physics.system import System
 from twinbench.physics.terms import ControllerSprings, Dashpot, Gravity, Ground, LinearDrag, SelfCollision, Springs
-from twinbench.physics.terms.base import STAGES, Term
+from twinbench.physics.terms.stages import STAGES, AxialTerm, BodyTerm, StrandTerm, VelocityTerm
 
 # ---------------------------------------------------------------- what a term declares
 
@@ -71,11 +71,10 @@ def brake(v: Any, dt: Any, p: Any, o: int):
     return v / (type(dt)(1.0) + p[o] * dt * wp.length(v))
 
 
-class Hardening(Term):
+class Hardening(AxialTerm):
     """F = a e^3 + b Y e |e|, e the strain."""
 
     name = "hardening"
-    stage = "axial"
     parameters = (Parameter("cubic", 30.0, 0.0, 100.0, "N", "third order"), Parameter("square", 0.4, 0.0, 1.0, "-", "second order"))
     law = hardening
 
@@ -85,11 +84,10 @@ class Hardening(Term):
         return cubic * e**3 + square * stiffness * e * abs(e)
 
 
-class Wind(Term):
+class Wind(BodyTerm):
     """A force that grows with height."""
 
     name = "wind"
-    stage = "body"
     parameters = (Parameter("wind_x", 2.0, 0.0, 5.0, "N/m", "along x"), Parameter("wind_y", -1.0, -5.0, 5.0, "N", "along y"))
     law = wind
 
@@ -98,11 +96,10 @@ class Wind(Term):
         return np.array([wind_x * x[2], wind_y, 0.0])
 
 
-class Brake(Term):
+class Brake(VelocityTerm):
     """dv/dt = -c |v| v, exactly."""
 
     name = "brake"
-    stage = "velocity"
     parameters = (Parameter("brake", 0.7, 0.0, 5.0, "1/m", "quadratic drag"),)
     law = brake
 
@@ -131,11 +128,10 @@ def counted(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle
     return q + dt * (type(link)(1.0) + link)
 
 
-class Stir(Term):
+class Stir(StrandTerm):
     """A memory that reads everything it is given."""
 
     name = "stir"
-    stage = "strand"
     parameters = (Parameter("stir", 3.0, 0.0, 5.0, "N/m", "of the memory"), Parameter("stir_link", 2.0, 0.0, 5.0, "N/m", "of links"))
     law = stir
     evolve = stirred
@@ -149,11 +145,10 @@ class Stir(Term):
         return q + dt * (length - rest + stir * rate + middle[1] * stiffness * t - q)
 
 
-class Count(Term):
+class Count(StrandTerm):
     """A memory that counts seconds, links' twice."""
 
     name = "count"
-    stage = "strand"
     parameters = (Parameter("count", 1.0, 0.0, 5.0, "N/s", "of the seconds counted"),)
     law = count
     evolve = counted

@@ -317,8 +317,12 @@ FILES = {
     "metrics/mine.py": ("METRIC: int = 5", "metric 'mine' (metrics/mine.py) is left out: a metric must be an instance"),
     "datasets/bytes.py": (b"LAYOUT = \xff", "layout 'bytes' (datasets/bytes.py) is left out: SyntaxError"),
     "physics/terms/mine.py": (
-        "from .base import Term\nclass Mine(Term):\n    name, stage = 'mine', 'body'",
+        "from .stages import BodyTerm\nclass Mine(BodyTerm):\n    name = 'mine'",
         "term 'mine' (physics/terms/mine.py) is left out: law must be a function with @wp.func, got None",
+    ),
+    "physics/terms/yours.py": (
+        "from .base import Term\nclass Yours(Term):\n    name, stage = 'yours', 'body'",
+        "term 'yours' (physics/terms/yours.py) is left out: a term of stage 'body' must be a subclass of BodyTerm",
     ),
 }
 
@@ -327,7 +331,8 @@ def test_a_broken_file_in_a_clone_is_one_named_warning(tmp_path, python):
     root, package = Path(__file__).resolve().parents[1], tmp_path / "site" / "twinbench"
     for room in ("benchmark", "datasets", "diagnosis", "methods", "metrics", "physics"):
         shutil.copytree(root / room, package / room, ignore=shutil.ignore_patterns("__pycache__"))
-    shutil.copy(root / "__init__.py", package)
+    for file in ("__init__.py", "spelling.py"):
+        shutil.copy(root / file, package)
     for name, (text, _) in FILES.items():
         (package / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     done = python("-c", "import sys; from twinbench.benchmark.cli import main; sys.exit(main())", "list", "--terms")

@@ -44,7 +44,8 @@ def here():
 def copy(tmp_path_factory):
     """A copy of the package, to edit, as it was read before that."""
     folder = tmp_path_factory.mktemp("copy")
-    shutil.copy(PACKAGE / "__init__.py", folder)
+    for file in ("__init__.py", "spelling.py"):
+        shutil.copy(PACKAGE / file, folder)
     for room in ROOMS:
         shutil.copytree(PACKAGE / room, folder / room, ignore=shutil.ignore_patterns("__pycache__", "sample", "concealed", "synthetic"))
     sources = Sources(folder)
@@ -108,7 +109,12 @@ def test_metrics_appearance_and_layouts_are_made_of_their_own_modules():
     def files(thing):
         return set(SOURCES.files(*modules_of(thing)))
 
-    common = {"__init__.py", "metrics/base.py", *(f"datasets/{name}.py" for name in ("findings", "plugins", "rules", "scenario"))}
+    common = {
+        "__init__.py",
+        "spelling.py",
+        "metrics/base.py",
+        *(f"datasets/{name}.py" for name in ("findings", "plugins", "rules", "scenario")),
+    }
     assert files(metrics()["chamfer"]) == common | {"metrics/chamfer.py"}
     assert files(metrics()["iou"]) == common | {"metrics/iou.py", "metrics/masked.py"}
     assert "methods/appearance/gsplat_renderer.py" in files(Appearance)

@@ -5,15 +5,16 @@ from __future__ import annotations
 import json
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
-from ...datasets.collection import nearest
 from ...datasets.concealed.folder import Folder
 from ...datasets.concealed.seal import parsed, read_json
+from ...spelling import nearest
 from ..executors.base import Executor
 from ..executors.local import LocalProcesses
 from ..provenance import commit
@@ -44,10 +45,11 @@ def each(
         for item in items:
             yield item, function(*item)
         return
-    work = {k: partial(function, *item) for k, item in enumerate(items)}
+    done: dict[Hashable, Any] = dict(enumerate(items))
+    work = {k: partial(function, *item) for k, item in done.items()}
     with closing((executor or LocalProcesses(jobs)).each(work, device=device, reads=reads)) as finished:
         for k, future in finished:
-            yield items[k], future.result()
+            yield done[k], future.result()
 
 
 def answer_case(case: Path, names: Sequence[str], preset: str, device: str, label: dict | None = None) -> dict[str, dict]:
@@ -118,7 +120,7 @@ def answer_set(
     todo = [(folder.cases / case, wanted, preset, device, labels.get(case)) for case, wanted in missing.items() if wanted]
     how = {"jobs": jobs, "device": device, "executor": executor, "reads": [folder.cases]}
     for done, (item, found) in enumerate(each(answer_case, todo, **how), 1):
-        case = item[0].name
+        case = Path(item[0]).name
         for name, said in found.items():
             books[name].write(case, Answer.from_dict(said), about)
         progress(f"{done} of {len(todo)}: {case} " + ", ".join(f"{n}: {_short(a)}" for n, a in found.items()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -50,9 +50,9 @@ class Make(OnCluster):
         if (self.seed is None) == (self.beacon is None):
             raise ValueError("a set is made from --seed or from --beacon, one of them")
         origin = {} if self.beacon is None else {"commit": commit(), "beacon": self.beacon}
-        seed = self.seed if self.beacon is None else seed_of(origin["commit"], self.beacon)
+        seed = str(self.seed) if self.beacon is None else seed_of(origin["commit"], self.beacon)
         engines = self.engines or tuple(ENGINES)
-        who = {"jobs": self.jobs or 1, "executor": self.on_cluster()}
+        who: dict[str, Any] = {"jobs": self.jobs or 1, "executor": self.on_cluster()}
         found = make(writable(self.out), preset=self.preset, seed=seed, engines=engines, origin=origin, **who, progress=_say)
         folder = Folder(self.out)
         sound = {name: read_json(folder.kept / f"{name}.json")["label"]["kind"] == "control" for name in found["cases"]}

@@ -6,10 +6,11 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
+from typing import Any
 
-from ...datasets.collection import nearest
 from ...diagnosis.diagnose import NAMES
 from ...diagnosis.verdict import NONE, OTHER
+from ...spelling import nearest
 
 __all__ = ["FAILED", "LARGEST", "NAMED", "VERDICTS", "Answer", "one_hot"]
 
@@ -22,7 +23,7 @@ LONGEST = 2000  # characters of a text
 MOST = 10**9  # frames, and particles
 LATER = ("twin", "why", "test", "budget", "detectable_mm")  # fields of schema 2
 
-Read = Callable[[object, str], object]  # a field's value and its name to what is kept; ValueError where it is not what it must be
+Read = Callable[[Any, str], Any]  # a field's value and its name to what is kept; ValueError where it is not what it must be
 
 
 def one_hot(name: str, confidence: float = CONFIDENT) -> dict[str, float]:
@@ -96,7 +97,8 @@ def _any(value, name):
 def _evidence(value, name):
     """Any object; its ``clusters`` are scored."""
     value = _mapping(_any, _any)(value, name)
-    for k, one in enumerate(_or_null(_list(_mapping(_any, _any)))(value.get("clusters"), f"{name}.clusters") or []):
+    clusters: Any = _or_null(_list(_mapping(_any, _any)))(value.get("clusters"), f"{name}.clusters") or []
+    for k, one in enumerate(clusters):
         _list(_number(), length=3)(one.get("centroid"), f"{name}.clusters[{k}].centroid")
         _number(0)(one.get("radius"), f"{name}.clusters[{k}].radius")
     return value
@@ -223,7 +225,8 @@ class Answer:
     @classmethod
     def from_dict(cls, said: Mapping) -> Answer:
         """The answer that JSON says. Raises ValueError naming the field, what it must be, and what it is."""
-        return _record(cls)(said, "an answer")
+        read: Any = _record(cls)
+        return read(said, "an answer")
 
     @classmethod
     def failed(cls, error: str, seconds: float | None = None) -> Answer:

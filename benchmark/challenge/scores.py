@@ -25,6 +25,8 @@ from .truths import Row, amplitude
 
 __all__ = ["SIZES", "Figure", "confidence", "figures", "size_of", "with_floors"]
 
+NAN = float("nan")
+
 SIZES = (0.5, 1.0, 2.0, 4.0, 8.0)  # over the floor; a case belongs to the nearest, by ratio
 CLOSABLE = 0.05  # share of its error that who was told must close, so that there is something to close
 PARTS = ("heldout", "transfer")
@@ -82,7 +84,16 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
     alarms = sum(r.alarm for r in controls)
     found = [
         _share("false alarms", [r.alarm for r in controls], goal=0.05, better="lower"),
-        Figure("false alarms, 95 % bound", upper_bound(alarms, len(controls)), *[float("nan")] * 2, len(controls), "share", 0.05, "lower"),
+        Figure(
+            "false alarms, 95 % bound",
+            upper_bound(alarms, len(controls)),
+            float("nan"),
+            float("nan"),
+            len(controls),
+            "share",
+            0.05,
+            "lower",
+        ),
         _share("false alarms with a name", [r.named for r in controls], better="lower"),
         _over("detection, area under the curve", rows, _suspected, _separated(auroc)),
         _over("the same up to 5 % false alarms", rows, _suspected, _separated(early_auroc)),
@@ -119,7 +130,7 @@ def figures(rows: Sequence[Row]) -> list[Figure]:
         _share("outside said to be unknown", [r.verdict == OTHER for r in outside]),
         _share("pairs, first name one of the two", [r.first for r in pairs]),
         _over("pairs, F1 of names", pairs, _pair_f1, np.mean),
-        _over("calibration error", rows, _trusted, lambda some: expected_calibration_error(*zip(*some, strict=True)), better="lower"),
+        _over("calibration error", rows, _trusted, lambda some: expected_calibration_error(*_columns(some)), better="lower"),
         _over("Brier score", rows, _brier, np.mean, better="lower"),
         _over("area under risk and coverage", rows, _trusted, lambda some: risk_coverage(*zip(*some, strict=True)), better="lower"),
         _share("failed or missing answers", [r.verdict == "failed" for r in rows], better="lower"),
@@ -167,8 +178,14 @@ def _sized(what):
     return lambda r: (r.ratio, getattr(r, what)) if np.isfinite(r.ratio) else None
 
 
+def _columns(some):
+    """Pairs as two lists."""
+    first, second = zip(*some, strict=True)
+    return first, second
+
+
 def _size_at(some):
-    return size_at(*zip(*some, strict=True))
+    return size_at(*_columns(some))
 
 
 def _suspected(row):
@@ -271,7 +288,12 @@ def _covered(row):
 
 
 def _amplitude_names(effect):
-    return {n for term in catalogue() if term.effect.name == effect and len(term.effect.amplitudes) == 1 for n in term.effect.amplitudes}
+    return {
+        n
+        for term in catalogue()
+        if term.stands_for().name == effect and len(term.stands_for().amplitudes) == 1
+        for n in term.stands_for().amplitudes
+    }
 
 
 def _gains(part):

@@ -20,6 +20,9 @@ __all__ = [
     "upper_bound",
 ]
 
+Numbers = Sequence[float] | np.ndarray
+Flags = Sequence[bool] | np.ndarray
+
 DRAWS = 1000  # of a bootstrap
 PRIOR = 5.0  # standard deviation of the numbers of a logistic regression
 
@@ -48,7 +51,7 @@ def upper_bound(hits: int, of: int, level: float = 0.95) -> float:
     return clopper_pearson(hits, of, 2 * level - 1)[1] if of else 1.0
 
 
-def auroc(positive: Sequence[float], negative: Sequence[float]) -> float:
+def auroc(positive: Numbers, negative: Numbers) -> float:
     """Share of pairs in which the positive one scores higher, ties half (Mann and Whitney 1947); NaN where either is empty.
 
     >>> auroc([2, 3], [1, 2])
@@ -60,7 +63,7 @@ def auroc(positive: Sequence[float], negative: Sequence[float]) -> float:
     return float(((above > 0) + 0.5 * (above == 0)).mean())
 
 
-def early_auroc(positive: Sequence[float], negative: Sequence[float], most: float = 0.05) -> float:
+def early_auroc(positive: Numbers, negative: Numbers, most: float = 0.05) -> float:
     """Mean share of positives found at false-alarm rates up to ``most``: 1 is perfect, most / 2 chance. NaN where either is empty.
 
     The area under the steps of the curve: of the highest negatives, as many as ``most`` allows, the mean share of positives above each.
@@ -93,7 +96,7 @@ def bootstrap(
     return float(low), float(high)
 
 
-def calibration_bins(confidence: Sequence[float], right: Sequence[bool], bins: int = 10) -> list[tuple[float, float, int, float, float]]:
+def calibration_bins(confidence: Numbers, right: Flags, bins: int = 10) -> list[tuple[float, float, int, float, float]]:
     """(from, to, cases, mean confidence, share right) of every bin of equal width that has cases."""
     confidence, right = np.asarray(confidence, float), np.asarray(right, bool)
     which = np.minimum((confidence * bins).astype(int), bins - 1)
@@ -104,7 +107,7 @@ def calibration_bins(confidence: Sequence[float], right: Sequence[bool], bins: i
     ]
 
 
-def expected_calibration_error(confidence: Sequence[float], right: Sequence[bool], bins: int = 10) -> float:
+def expected_calibration_error(confidence: Numbers, right: Flags, bins: int = 10) -> float:
     """Mean distance over cases of their bin's confidence from its share of right answers (Naeini et al. 2015). NaN without cases.
 
     >>> expected_calibration_error([0.75, 0.75, 0.75, 0.75], [True, True, False, False])
@@ -114,7 +117,7 @@ def expected_calibration_error(confidence: Sequence[float], right: Sequence[bool
     return float(np.average([abs(c - r) for *_, c, r in found], weights=[n for _, _, n, _, _ in found])) if found else float("nan")
 
 
-def risk_coverage(confidence: Sequence[float], right: Sequence[bool]) -> float:
+def risk_coverage(confidence: Numbers, right: Flags) -> float:
     """Mean share of wrong answers over all coverages, the most confident first (El-Yaniv and Wiener 2010). NaN without cases."""
     if not len(confidence):
         return float("nan")
@@ -122,7 +125,7 @@ def risk_coverage(confidence: Sequence[float], right: Sequence[bool]) -> float:
     return float((np.cumsum(wrong) / np.arange(1, len(wrong) + 1)).mean())
 
 
-def mcnemar(one: Sequence[bool], other: Sequence[bool]) -> float:
+def mcnemar(one: Flags, other: Flags) -> float:
     """Exact p, two-sided, that two who answered the same cases are right equally often: a sign test of the cases in which they differ.
 
     >>> mcnemar([True] * 6, [False] * 6)
@@ -145,7 +148,7 @@ def overlap(said, true) -> float:
     return 2 * len(said & true) / (len(said) + len(true)) if said or true else float("nan")
 
 
-def size_at(sizes: Sequence[float], found: Sequence[bool], power: float = 0.8) -> float:
+def size_at(sizes: Numbers, found: Flags, power: float = 0.8) -> float:
     """The size that is found in a share ``power`` of cases: logistic regression on its log, slightly shrunk.
 
     NaN where power does not grow with size, or is not reached within a factor of four beyond the sizes there are.

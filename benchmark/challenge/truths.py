@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...datasets.concealed.engine import FPS
+from ...datasets.concealed.world import FPS
 from ...datasets.synthetic.simulate import GRAVITY
 from ...diagnosis.hypotheses import catalogue
 from ...diagnosis.verdict import NONE, OTHER
@@ -134,8 +134,8 @@ class Row:
 def amplitude(effect: str, parameters: Mapping[str, Mapping]) -> float:
     """The size of an effect from an answer's parameters: the length of the vector of its amplitudes; NaN where they are not there."""
     for term in catalogue():
-        names = term.effect.amplitudes
-        if term.effect.name == effect and all(n in parameters for n in names):
+        names = term.stands_for().amplitudes
+        if term.stands_for().name == effect and all(n in parameters for n in names):
             return float(np.linalg.norm([parameters[n]["value"] for n in names]))
     return float("nan")
 

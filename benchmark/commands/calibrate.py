@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -69,6 +69,7 @@ class Calibrate:
             print(f"{shown(name)}: moved by {turn:.2f} degrees and {1000 * shift:.1f} mm")
         print(f"a point of the table is in two places for two cameras: {1000 * found.before:.1f} mm apart, now {1000 * found.after:.1f} mm")
         if self.apply is not None:
-            put_poses(self.apply, {raw.name: raw.camera_to_world for raw in found.recording.cameras}, found.recording)
+            poses: dict[str, Any] = {raw.name: raw.camera_to_world for raw in found.recording.cameras}
+            put_poses(self.apply, poses, found.recording)
             print(f"Written to {shown(str(self.apply))}")
         return 0

@@ -77,7 +77,7 @@ class Capture:
         if taken.timing is not None:
             spread = 1000 * taken.timing.spread
             print(f"{shown(str(self.out))}: {len(taken.timing.times)} frames of all cameras, {spread:.1f} ms apart (median)")
-            print(f"{shown(str(files_of(self.out)))}: librealsense's files; not needed any more")
+            print(f"{shown(str(files_of(Path(str(self.out)))))}: librealsense's files; not needed any more")
         return 0
 
 

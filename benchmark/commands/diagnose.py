@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -69,7 +69,7 @@ class Diagnose(OnCluster):
             if not self.quiet:
                 print(f"{shown(said)} ...", file=sys.stderr, flush=True)
 
-        told = dict(twin=self.twin, **others, preset=self.preset, device=self.device)
+        told: dict[str, Any] = dict(twin=self.twin, **others, preset=self.preset, device=self.device)
         found = diagnose(cases[0] if len(cases) == 1 else cases, **told, progress=say)
         found.write(folder)
         for line in filter(None, (headline(found.result), improvement(found.result), found.result["experiment"])):
@@ -91,7 +91,7 @@ class Diagnose(OnCluster):
         how = {"twin": self.twin, "preset": self.preset, "device": self.device}
         for done, (name, found) in enumerate(diagnose_each(recordings, writable(self.out), executor, **how), 1):
             failed += isinstance(found, Exception)
-            said = f"failed ({type(found).__name__}: {found})" if isinstance(found, Exception) else headline(found)
+            said = f"failed ({type(found).__name__}: {found})" if isinstance(found, BaseException) else headline(found)
             print(shown(f"{name}: {said}"), flush=True)
             if not self.quiet:
                 print(f"{done} of {len(recordings)}", file=sys.stderr, flush=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -63,7 +63,7 @@ class Play:
         def say(said: str) -> None:
             print(f"{shown(said)} ...", file=sys.stderr, flush=True)
 
-        asked = dict(seed=self.seed, preset=self.preset, device=self.device, case=self.case, say=say)
+        asked: dict[str, Any] = dict(seed=self.seed, preset=self.preset, device=self.device, case=self.case, say=say)
         twins, scenario, made = opened(self.what, methods, Cache(default_cache()), **asked)
         stage = stage_of(twins, scenario)
         splats = {}

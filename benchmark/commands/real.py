@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
@@ -36,7 +36,7 @@ class Real:
         studies = {"cables": real_cables.run} | dict.fromkeys(real_cases.CASES, partial(real_cases.run, self.study))
         known("study", [self.study], studies)
         known("device", [self.device], DEVICES)
-        options = {"seeds": self.seeds} if self.study == "cables" else {}
+        options: dict[str, Any] = {"seeds": self.seeds} if self.study == "cables" else {}
         studies[self.study](self.data, writable(self.out), device=self.device, **options)
         print(f"Written to {shown(str(self.out))}")
         return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from ...physics.grids import embed
 from ...physics.hinges import natural_curvature
 from ...physics.points import material_points
 from ...physics.sheets import Sheet
-from ...physics.system import System
+from ...physics.system import FILLED, System
 from ...physics.terms import (
     Bending,
     ControllerSprings,
@@ -29,7 +30,7 @@ from ...physics.terms import (
     SoftGrip,
     Springs,
 )
-from ...physics.terms.base import CELLS, SHEETS
+from ...physics.terms.stages import CELLS, SHEETS
 from ...physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .checking import Skipped, require
 
@@ -108,6 +109,7 @@ def of_every_parameter(term) -> None:
     columns = [batch.column(p.name) for p in term.parameters]
     width = len(batch.columns)
     check(batch, inputs, "table", [row * width + c for row in range(2) for c in columns])
+    assert inputs.table.grad is not None  # it was asked for
     if columns and not inputs.table.grad[:, columns].abs().max() > 1e-6:  # or the comparison would be one of zeros
         raise Skipped("no parameter of it moves the made body")
 
@@ -128,7 +130,7 @@ def solid(term, seed=0):
     samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.004 for n in (12, 6, 5)], indexing="ij"), -1).reshape(-1, 3)
     grid = embed(samples, 0.048 * 0.024 * 0.02, 0.02, offset=rng.random(3))
     some = {p.name: p.value if term.effect else p.decode(0.4) for p in term.parameters if term is not NeoHookean}
-    given = VALUES | (term.effect.typical if term.effect else {})
+    given = VALUES | (term.stands_for().typical if term.effect else {})
     own = some | {name: given[name] for name in some if name in given}
     pointed = term.stage in POINTS
     if pointed:
@@ -144,11 +146,11 @@ def solid(term, seed=0):
     return System(
         positions=grid.positions + rng.normal(size=grid.positions.shape) * 2e-4,
         velocities=rng.normal(size=grid.positions.shape) * 0.1,
-        masses=None if pointed else grid.masses(100.0),
+        masses=FILLED if pointed else grid.masses(100.0),
         springs=np.zeros((0, 2), int),
-        stiffness=[],
+        stiffness=np.zeros(0),
         controllers=hold + np.linspace(0, 0.01, FRAMES)[:, None, None],
-        grips=grips,
+        grips=np.array(grips),
         grid=grid,
         points=points,
         terms=[
@@ -173,7 +175,7 @@ def draped(*kinds, seed=0):
         velocities=rng.normal(size=points.shape) * 0.1,
         masses=sheet.masses(0.3, len(points)),
         springs=np.zeros((0, 2), int),
-        stiffness=[],
+        stiffness=np.zeros(0),
         controllers=points[held] + np.linspace(0, 0.02, FRAMES)[:, None, None],
         grips=held,
         sheet=sheet,
@@ -192,7 +194,9 @@ def stacked(term, seed=0):
     second = (first - first.mean(0)) @ turn.T + first.mean(0) + [0.003, 0.002, 0.011]
     rope = first.mean(0) + np.linspace(-0.06, 0.06, 8)[:, None] * [0.6, 0.8, 0.0] + [0.0, 0.0, 0.024] + rng.normal(size=(8, 3)) * 1e-3
     points, count = np.concatenate([first, second, rope]), 2 * len(first)
-    sheet = Sheet.of(points, np.concatenate([one.sheet.triangles, one.sheet.triangles + len(first)]))
+    assert one.sheet is not None
+    triangles = one.sheet.triangles
+    sheet = Sheet.of(points, np.concatenate([triangles, triangles + len(first)]))
     chain = np.arange(count, len(points))
     speeds = rng.normal(size=points.shape) * 0.05
     speeds[len(first) :] += [0.1, 0.05, -0.4]
@@ -233,7 +237,7 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
     rope = np.append(np.arange(count - ROPE, count), 0)
     hinges = np.concatenate([rope_hinges(rope), sheet_hinges(points[: count - ROPE], springs, straight=60)])
     rest = np.linalg.norm(nodes[springs[:, 0]] - nodes[springs[:, 1]], axis=1) * rng.uniform(0.9, 1.1, len(springs))
-    values = VALUES | {name: value for k in kinds if k.effect for name, value in k.effect.typical.items()}
+    values = VALUES | {name: value for k in kinds if k.effect for name, value in k.stands_for().typical.items()}
     terms = [k({p.name: values[p.name] for p in k.parameters if p.name in values}) for k in kinds]
     seen = points + np.cumsum(rng.normal(size=(FRAMES, count, 3)) * 0.003, 0)
     seen[2, ::3] = np.nan
@@ -245,7 +249,7 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
         rest=rest,
         stiffness=rng.uniform(50, 100, len(springs)),
         controllers=path,
-        grips=[0, -1] if grip else None,
+        grips=np.array([0, -1]) if grip else FILLED,
         seen=seen,
         hinges=hinges,
         natural=natural_curvature(nodes, hinges, [rope]) * rng.uniform(0.5, 1.5, (len(hinges), 1)),
@@ -265,7 +269,7 @@ def leaves(batch):
     return Inputs(**{n: getattr(batch.inputs, n).clone().requires_grad_() for n in NAMES})
 
 
-def loss(batch, inputs, *, frame=0, frames=FRAMES):
+def loss(batch, inputs, *, frame=0, frames=FRAMES) -> Any:
     """A weighted sum of the particles' positions at every frame and of the final state: every output counts."""
     generator = torch.Generator().manual_seed(0)
     out, x, v, carried = batch.march(frame, frames, inputs, whole=True)

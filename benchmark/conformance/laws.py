@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...physics.terms.base import ARGUMENTS, CELLS, SHEETS, Term
+from ...physics.terms.stages import ARGUMENTS, CELLS, SHEETS, KernelTerm, RememberingTerm
 from .checking import require
 
 __all__ = ["agree", "agree_in_memory", "evaluate", "random_inputs"]
@@ -14,7 +14,7 @@ __all__ = ["agree", "agree_in_memory", "evaluate", "random_inputs"]
 SAMPLES, OFFSET = 500, 2  # the term's parameters do not come first in their stage's vector
 
 
-def agree(term: type[Term]) -> None:
+def agree(term: type[KernelTerm]) -> None:
     """Raises AssertionError unless the law of ``term`` is its ``twin`` wherever its parameters may lie."""
     rng = np.random.default_rng(0)
     inputs = random_inputs(term.stage, rng)
@@ -34,7 +34,7 @@ def agree(term: type[Term]) -> None:
         require(0.1 < share < 0.9, f"it acts on {share:.0%} of the samples: both sides of its condition must be met")
 
 
-def agree_in_memory(term: type[Term]) -> None:
+def agree_in_memory(term: type[RememberingTerm]) -> None:
     """Raises AssertionError unless the memory of ``term``, of a stage that remembers, evolves as ``twin_evolve`` says."""
     # substeps from a microsecond to a second; the exponential of the one is a hyperbolic tangent in the other
     rng = np.random.default_rng(0)

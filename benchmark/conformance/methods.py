@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Subject:
 
     def make(self) -> Method:
         """The method, doing as little as its stages allow."""
-        method = self.found()
+        method: Any = self.found()
         if hasattr(method, "presets"):
             method.presets = {key: _least(config) for key, config in method.presets.items()}
         return method
@@ -50,8 +51,11 @@ class Subject:
         return self.fit(recording())
 
 
-def _least(config):
-    return replace(config, **{f.name: LEAST[f.name] for f in fields(config) if f.name in LEAST}) if is_dataclass(config) else config
+def _least(config: Any):
+    if not is_dataclass(config):
+        return config
+    made: Any = config
+    return replace(made, **{f.name: LEAST[f.name] for f in fields(made) if f.name in LEAST})
 
 
 def _same(twin: Twin, other: Twin, controllers=None) -> None:
@@ -62,7 +66,9 @@ def _same(twin: Twin, other: Twin, controllers=None) -> None:
 
 def it_says_what_it_is(subject):
     method, made = subject.make(), recording()
-    require(isinstance(type(method).__doc__, str) and type(method).__doc__.strip(), "its class must have a docstring, which lists print")
+    require(
+        isinstance(type(method).__doc__, str) and str(type(method).__doc__).strip(), "its class must have a docstring, which lists print"
+    )
     for one in (made, replace(made, controllers=np.zeros((FRAMES, 0, 3)), grips=None), replace(made, images=None, cameras=())):
         reason = method.skip(one)
         require(reason is None or (isinstance(reason, str) and reason), f"skip must return None or the reason as a string, got {reason!r}")
@@ -74,7 +80,7 @@ def it_says_what_it_is(subject):
 
 def a_roll_out_starts_in_frame_0_and_covers_every_frame(subject):
     made, twin = recording(), subject.fitted
-    promised = getattr(subject.make(), "twin_class", None)
+    promised: Any = getattr(subject.make(), "twin_class", None)
     sound = isinstance(promised, type) and issubclass(promised, Twin)
     require(sound, f"twin_class must be the class of what fit returns, got {promised!r}")
     require(isinstance(twin, promised), f"fit must return a {promised.__name__}, its twin_class, got {type(twin).__name__}")
@@ -141,7 +147,7 @@ def held_out_frames_do_not_matter(subject):
 def _poisoned(elsewhere: bool) -> Scenario:
     """The made recording with test frames that say something else: points far away, or none at all."""
     made = recording()
-    points, visible, valid, tracks = made.points.copy(), made.visible.copy(), made.motion_valid.copy(), made.tracks.copy()
+    points, visible, valid, tracks = made.points.copy(), made.visible.copy(), made.motion_valid.copy(), np.array(made.tracks)
     tracks[TRAIN:] = np.nan
     points[TRAIN:] = 900.0 if elsewhere else np.nan
     visible[TRAIN:] = valid[TRAIN:] = elsewhere

@@ -66,7 +66,7 @@ def wrong(off: float = 0.004, seed: int = 0) -> Prediction:
 
 def unseen(scenario: Scenario, frame: int) -> Scenario:
     """The recording with nothing in ``frame`` that could be compared."""
-    visible, tracks = scenario.visible.copy(), scenario.tracks.copy()
+    visible, tracks = scenario.visible.copy(), np.array(scenario.tracks)
     visible[frame], tracks[frame] = False, np.nan
     return replace(scenario, visible=visible, tracks=tracks, images=Holed(scenario.images, frame))
 
@@ -181,6 +181,7 @@ def moving_everything_alike_changes_nothing(subject):
     moved = {
         f.name: getattr(made, f.name) + way for f in fields(made) if f.name in ("points", "controllers", "surface", "interior", "tracks")
     }
+    assert made.ground is not None  # of the scene of these checks
     there = replace(made, **moved, ground=Plane(made.ground.normal, made.ground.offset + float(made.ground.normal @ way)))
     # coordinates of order 1 in float64: rounding below 1e-15
     np.testing.assert_allclose(subject(Prediction(predicted.positions + way), there), subject(predicted, made), rtol=1e-9, atol=1e-12)

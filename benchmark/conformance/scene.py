@@ -42,18 +42,18 @@ class Pictures:
     points: np.ndarray
     frame_count: int
 
-    def mask(self, camera, frame):
+    def mask(self, camera: int, frame: int):
         if not 0 <= frame < self.frame_count:
             raise IndexError(f"frame {frame} is not within reach")
         return silhouette(self.points[frame], CAMERAS[camera])
 
-    def human_mask(self, camera, frame):
+    def human_mask(self, camera: int, frame: int):
         return np.zeros_like(self.mask(camera, frame))
 
-    def color(self, camera, frame):
+    def color(self, camera: int, frame: int):
         return np.repeat(self.mask(camera, frame)[..., None], 3, axis=2).astype(np.uint8) * 255
 
-    def depth(self, camera, frame):
+    def depth(self, camera: int, frame: int):
         return np.where(self.mask(camera, frame), 0.3, 0.0).astype(np.float32)
 
     def until(self, frame_count):

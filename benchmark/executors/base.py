@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future
 from typing import ClassVar, TypeVar
 
@@ -31,7 +31,7 @@ class Executor(ABC):
     @abstractmethod
     def each(
         self, work: Mapping[Name, Callable[[], object]], *, device: str = "cpu", reads: Paths = (), writes: Paths = ()
-    ) -> Iterator[tuple[Name, Future]]:
+    ) -> Generator[tuple[Name, Future]]:
         """The name of each piece of ``work`` with its finished future, as they are done.
 
         work    functions without arguments that other processes can import (``functools.partial``), by name

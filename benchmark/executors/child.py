@@ -76,7 +76,8 @@ class _Child:
         self._process.kill()
         self._process.wait()
         self._connection.close()
-        self._process.stdin.close()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
 
 
 _WAITING: dict[tuple, list[_Child]] = {}

@@ -8,10 +8,10 @@ from __future__ import annotations
 import logging
 import uuid
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from ..processes import VISIBLE, cards, share
 from .base import MAX_ATTEMPTS, Executor, failed
@@ -65,7 +65,8 @@ class DaskWorkers(Executor):
         except (OSError, ValueError, TimeoutError) as error:
             raise OSError(f"--scheduler {self.address}: no scheduler of dask answers there ({error})") from error
         try:
-            count = len(client.nthreads())
+            threads: Any = client.nthreads()  # of a client that is not asynchronous
+            count = len(threads)
             log.info("%d workers at %s", count, self.address)
             if not count:
                 log.warning("the scheduler at %s has no workers yet; the work waits for the first", self.address)
@@ -74,7 +75,7 @@ class DaskWorkers(Executor):
             with suppress(Exception):
                 client.close(timeout=LEAVE)
 
-    def _finished(self, client, packed: Mapping[object, bytes], device: str, under_way: dict) -> Iterator[tuple[object, Future]]:
+    def _finished(self, client, packed: Mapping[object, bytes], device: str, under_way: dict) -> Generator[tuple[object, Future]]:
         """The pieces with their futures, as workers are done; ``under_way`` has the names by futures of dask."""
         from distributed import as_completed
 

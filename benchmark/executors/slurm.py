@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
 from typing import ClassVar
@@ -70,7 +70,7 @@ class Slurm(Executor):
         executor.update_parameters(**self.asked.submitit(device=device, jobs=self.jobs))
         return executor
 
-    def _finished(self, jobs: Jobs, packed: Mapping[object, bytes]) -> Iterator[tuple[object, Future]]:
+    def _finished(self, jobs: Jobs, packed: Mapping[object, bytes]) -> Generator[tuple[object, Future]]:
         """The pieces with their futures, as their jobs end."""
         limit = len(packed) if self.asked.cluster == "slurm" else self.jobs or cores()  # an array limits itself
         waiting, attempts, pause = list(packed), Counter(), POLL[0]

@@ -68,7 +68,8 @@ class Jobs:
                 self._gone = {name: self._gone.get(name, self._asked) for name in gone}
         found = [(name, outcome) for name, job in self._running.items() if (outcome := self._outcome(name, job)) is not None]
         for name, _ in found:
-            self._running.pop(name), self._gone.pop(name, None)
+            self._running.pop(name)
+            self._gone.pop(name, None)
         return found
 
     def cancel(self) -> None:
@@ -135,9 +136,9 @@ def _state(job: str) -> str:
 
 def _scancel(ids: list[str]) -> None:
     """In a session of its own, which outlives this process."""
-    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    null = subprocess.DEVNULL
     with suppress(OSError):
-        subprocess.Popen(["scancel", *ids], start_new_session=True, **quiet)
+        subprocess.Popen(["scancel", *ids], start_new_session=True, stdin=null, stdout=null, stderr=null)
 
 
 def _told(job) -> str:

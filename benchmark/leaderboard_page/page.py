@@ -22,6 +22,8 @@ from .provenance import entry_details, entry_id, entry_table
 
 __all__ = ["page", "write_page"]
 
+HERE = str(__package__)  # whose folder the files of this page are in
+
 REPORT = "twinbench.benchmark.report"
 
 
@@ -34,11 +36,11 @@ def write_page(gathered: Gathered, path: str | Path) -> None:
 def page(gathered: Gathered) -> str:
     """The whole file."""
     results, found = gathered.results, boards(gathered.results)
-    code = script(asset("sortable.js", REPORT), asset("leaderboard.js", __package__))
+    code = script(asset("sortable.js", REPORT), asset("leaderboard.js", HERE))
     links = {line: entry_id(number) for number, entry in enumerate(gathered.entries) for line in entry.lines}
-    return Template(asset("leaderboard.html", __package__)).substitute(
+    return Template(asset("leaderboard.html", HERE)).substitute(
         policy=policy(code),
-        style=asset("base.css") + asset("sortable.css", REPORT) + asset("leaderboard.css", __package__),
+        style=asset("base.css") + asset("sortable.css", REPORT) + asset("leaderboard.css", HERE),
         script=code,
         lead=escape(_lead(gathered)),
         collections=_options(dict.fromkeys(board.sheet.block.collection for board in found)),

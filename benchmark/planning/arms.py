@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from ...datasets.scenario import Observed
 from ...methods.base import Budget, Twin
@@ -86,7 +87,7 @@ def fitted(
         method = get_method(arm.method)
         if reason := method.skip(seen):
             raise ValueError(f"{arm.method} cannot be planned with: {reason}")
-        options = dict(seed=seed, device=device, progress=progress)
+        options: dict[str, Any] = dict(seed=seed, device=device, progress=progress)
         if arm.added:
             sound = fitted(Arm(arm.method), seen, budget=budget, known=known, **options)
             known[arm.twin] = _with(arm, method, sound, seen, budget, options)

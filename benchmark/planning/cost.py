@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Judge:
     axes: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    ground: object
+    ground: Any
     floor: float
 
     @classmethod

@@ -15,6 +15,7 @@ from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from ...datasets.temporary import replacing
 from ..processes import workers
@@ -55,7 +56,7 @@ def case_rows(case: Case, arms: Sequence[str], config: PlanConfig, *, known: dic
     trial = Trial.of_body(get_task(case.task).body, case.task, config, seed=SEED + case.number, hidden=case.hidden)
     trial = replace(trial, known=known)
     for one in map(Arm.of, arms):
-        row = dict(hidden=case.hidden, start=case.number) | trial.attempt(one, preset=preset, device=device).row
+        row: dict[str, Any] = dict(hidden=case.hidden, start=case.number) | trial.attempt(one, preset=preset, device=device).row
         said = f"truly {1e3 * row['true_cost']:.1f} mm" if "true_cost" in row else row["status"]
         say(f"{case.name}: {one}: {said}, before {1e3 * row['still']:.1f} mm")
         yield row
@@ -138,7 +139,7 @@ def main(arguments=None) -> int:
 
 
 def _asked(arguments):
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.planning.experiment", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.planning.experiment", description=str(__doc__).split("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="folder for cases/, twins/, rows.csv and summary.md; what is there is kept")
     parser.add_argument("--tasks", nargs="+", default=TASKS)
     parser.add_argument("--starts", nargs="+", type=int, default=range(5), help="numbers of starts, each with a body of its own")

@@ -34,4 +34,4 @@ class Goal:
     @property
     def asked(self) -> np.ndarray:
         """(N,) bool, which points are asked for: all of them where only a cloud is wanted."""
-        return np.ones(len(self.points), bool) if self.targets is None else np.isfinite(self.targets).all(1)
+        return np.ones(len(self.points), bool) if self.targets is None else np.asarray(np.isfinite(self.targets).all(1))

@@ -86,7 +86,7 @@ def blind(k: int):
     """A search that is none: guess ``k`` is the plan, whatever it costs, and one roll-out says what the twin thinks of it."""
 
     def search(cost: Cost, project: Project, shape, step: float, config: PlanConfig, *, seed: int = 0, guesses=None) -> Found:
-        ways = guesses[k : k + 1]
+        ways = np.asarray(guesses)[k : k + 1]
         best = _better((np.inf, None), cost(ways), ways)
         return _found(best, [float(best[0])])
 

@@ -42,6 +42,7 @@ def write_page(trial: Trial, attempts: Sequence[Attempt], table: str, path: str 
     shown = [one for one in attempts if one.plan is not None]
     clouds = [trial.goal.points, trial.goal.cloud]
     for one in shown:
+        assert one.plan is not None  # as chosen above
         clouds += [one.plan.predicted[-1], one.plan.controllers.reshape(-1, 3)] + ([] if one.true is None else [one.true[-1]])
     room = np.concatenate(clouds) @ axes.T
     low, high = room.min(0), room.max(0)

@@ -91,6 +91,7 @@ def plan(
     found = OPTIMISERS[optimiser](cost, controls.feasible, controls.shape, controls.step, config, seed=seed, guesses=begin)
     rolled, ways = spent, found.ways[None]
     path = positions(ways)[0]
+    assert path is not None  # what was found did not diverge
     known = controls.paths(ways)[0], controls.hand, controls.moved(ways)[0], path, judge.outcome(path)
     return Plan(*known, found.cost, found.best, done, lost, time.perf_counter() - begun, rolled)
 

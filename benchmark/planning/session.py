@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +76,9 @@ def write(trial: Trial, attempts: Sequence[Attempt], folder: Path, *, title: str
         if one.plan is None:
             continue
         name = f"plan_{''.join(c if c.isalnum() or c in '-+' else '_' for c in str(one.arm))}.npz"
-        arrays = dict(controllers=one.plan.controllers, hand=one.plan.hand, predicted=one.plan.predicted, goal=trial.goal.cloud)
+        arrays: dict[str, Any] = dict(
+            controllers=one.plan.controllers, hand=one.plan.hand, predicted=one.plan.predicted, goal=trial.goal.cloud
+        )
         arrays |= {} if one.true is None else dict(true=one.true)
         with replacing(folder / name) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, **arrays)

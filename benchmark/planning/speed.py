@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def bar() -> Observed:
     points = np.concatenate([lattice[skin], lattice[~skin]]) + [0, 0, 0.002]
     hand = np.array([[x, y, 0.05] for x in (0.0, 0.012, 0.024) for y in (0.01, 0.025, 0.04)])
     count, seen = int(skin.sum()), np.ones((1, int(skin.sum())), bool)
-    about = dict(interior=points[count:], gravity=np.array([0, 0, -9.8]), ground=Plane(np.array([0.0, 0.0, 1.0])))
+    about: dict[str, Any] = dict(interior=points[count:], gravity=np.array([0, 0, -9.8]), ground=Plane(np.array([0.0, 0.0, 1.0])))
     return Observed(name="bar", points=points[None, :count], visible=seen, motion_valid=seen, controllers=hand[None], **about)
 
 
@@ -73,7 +74,7 @@ def measured(twin, start: Observed, rollouts: int, frames: int, *, repeats: int)
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.planning.speed", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.planning.speed", description=str(__doc__).split("\n")[0])
     parser.add_argument("--cuda", action="store_true", help="2,000 roll-outs on a graphics card instead of 64 on the processor")
     parser.add_argument("--rollouts", type=int, help="another number of them")
     parser.add_argument("--frames", type=int, default=30)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...datasets.concealed.engine import Unstable
+from ...datasets.concealed.world import Unstable
 from ...datasets.scenario import Observed, Scenario
 from ...methods.base import Budget, Twin
 from ...methods.registry import get_method
@@ -88,7 +88,7 @@ class Trial:
         row |= dict(status="ok", plan_cpu=time.process_time() - begun, plan_seconds=made.seconds, rollouts=made.rollouts)
         row |= dict(rollouts_per_second=made.rollouts / made.simulated, diverged=made.diverged, frames=self.config.frames)
         row |= dict(twin_cost=made.cost) | {f"twin_{name}": value for name, value in made.outcome.as_dict().items()}
-        if self.truth is None:
+        if self.truth is None or self.start is None:
             return Attempt(arm, row, made)
         try:
             true = self.truth.execute(self.start, made.moved)

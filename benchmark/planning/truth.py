@@ -13,10 +13,10 @@ import numpy as np
 from ...datasets.concealed import bodies, motions
 from ...datasets.concealed.bodies import Body
 from ...datasets.concealed.effects import EFFECTS, Occasion
-from ...datasets.concealed.engine import Motion, Physics, Unstable
 from ...datasets.concealed.engines import engine, require
 from ...datasets.concealed.motions import Script
 from ...datasets.concealed.sensing import Faults, Tracker, sensed
+from ...datasets.concealed.world import Motion, Physics, Unstable
 from ...datasets.scenario import Scenario
 from ...datasets.synthetic.simulate import to_world
 
@@ -57,7 +57,7 @@ class Truth:
         hands = motions.draw(shows, self.body, np.random.default_rng(seed)).hands
         still = tuple(replace(hand, times=(0.0, 1.0), moves=((0.0, 0.0, 0.0),) * 2, turns=()) for hand in hands)
         script = Script(shows, still, GLANCE)
-        scenario = self._filmed(script, self._moved(script), seed, "start")[0]
+        scenario = _filmed(self.body, self.tracker, script, self._moved(script), seed, "start")[0]
         return Start(scenario, replace(script, frames=frames), seed)
 
     def execute(self, start: Start, moved: np.ndarray) -> np.ndarray:
@@ -71,18 +71,19 @@ class Truth:
         times, way = tuple(np.arange(len(moved)) / FPS), to_world(moved)  # half a turn about x is its own inverse
         hands = tuple(replace(hand, times=times, moves=tuple(map(tuple, way[:, k])), turns=()) for k, hand in enumerate(start.script.hands))
         script = Script(start.script.name, hands, len(moved))
-        _, true = self._filmed(script, self._moved(script), start.seed, "plan", frames=True)
+        _, true = _filmed(self.body, self.tracker, script, self._moved(script), start.seed, "plan", frames=True)
         return true["points"][:, start.scenario.visible[0]]
 
     def _moved(self, script) -> Motion:
         return engine(self.simulated).simulate(self.body, script, self.physics)
 
-    def _filmed(self, script, motion, seed, name, *, frames=False):
-        """The recording and its truth; with ``frames`` of an even sample of them, for who looks at the truth alone."""
-        if frames:
-            kept = np.unique(np.linspace(0, len(motion.vertices) - 1, 9).astype(int))
-            motion = replace(motion, vertices=motion.vertices[kept], position=motion.position[:, kept], rotation=motion.rotation[:, kept])
-        return sensed(self.body, script, motion, self.tracker, Faults(), np.random.default_rng(seed), name=name)
+
+def _filmed(body, tracker, script, motion, seed, name, *, frames=False):
+    """The recording and its truth; with ``frames`` of an even sample of them, for who looks at the truth alone."""
+    if frames:
+        kept = np.unique(np.linspace(0, len(motion.vertices) - 1, 9).astype(int))
+        motion = replace(motion, vertices=motion.vertices[kept], position=motion.position[:, kept], rotation=motion.rotation[:, kept])
+    return sensed(body, script, motion, tracker, Faults(), np.random.default_rng(seed), name=name)
 
 
 def drawn(body: str, shows: str, *, seed: int, hidden: str = "none") -> Truth:
@@ -109,9 +110,9 @@ def drawn(body: str, shows: str, *, seed: int, hidden: str = "none") -> Truth:
                 plain = engine(by).simulate(own, script)
                 effect = EFFECTS[hidden].draw(Occasion(own, (script, script), (plain, plain), np.random.default_rng([*numbers, 5])), 1.0)
                 own, physics = effect.body, effect.physics
-            made = Truth(own, physics, by, tracker, hidden, numbers, None)
-            film = made._filmed(script, made._moved(script), (*numbers, 3), f"{body}-{seed}")[0]
-            return replace(made, recording=film)
+            motion = engine(by).simulate(own, script, physics)
+            film = _filmed(own, tracker, script, motion, (*numbers, 3), f"{body}-{seed}")[0]
+            return Truth(own, physics, by, tracker, hidden, numbers, film)
         except Unstable as reason:
             reasons.append(str(reason))
     raise RuntimeError(f"no {body} in {DRAWS} draws: {'; '.join(reasons)}")

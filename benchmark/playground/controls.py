@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from .colors import COLOURS
 from .hands import KEYS
@@ -84,7 +84,7 @@ class Controls:
         page, look = self.page, self.page.look
         live = [p.live for p in page.stage.players]
         with self.gui.add_folder("Shown"):
-            self.switches = {"colour": self.gui.add_dropdown("Colour", COLOURS, initial_value=look.colour)}
+            self.switches: dict[str, Any] = {"colour": self.gui.add_dropdown("Colour", COLOURS, initial_value=look.colour)}
             self.switches["colour"].on_update(lambda _: page.ask(lambda: setattr(look, "colour", self.switches["colour"].value)))
             self.legend = self.gui.add_markdown("")
             switches = {"points": "Points", "forces": "Forces"}
@@ -140,14 +140,14 @@ class Controls:
     def _keys(self):
         page = self.page
         for key, (hand, way) in KEYS.items():
-            command = self.gui.add_command(f"{('Left', 'Right')[hand]} hand ({key})", hotkey=key)
+            command = self.gui.add_command(f"{('Left', 'Right')[hand]} hand ({key})", hotkey=cast(Any, key))
             command.on_trigger(lambda _, hand=hand, way=way: page.ask(lambda: page.press(hand, way)))
         for label, key, does in (
             ("Play", "space", self.toggle),
             ("One step", "N", self.step),
             ("One step back", "B", lambda: self.back(1)),
         ):
-            self.gui.add_command(label, hotkey=key).on_trigger(lambda _, does=does: page.ask(does))
+            self.gui.add_command(label, hotkey=cast(Any, key)).on_trigger(lambda _, does=does: page.ask(does))
 
     # ---------------------------------------------------------------- told
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +57,7 @@ def rates(twin, recording: Scenario, *, gaussians: int, size: tuple[int, int], d
 
     stage = stage_of({"twin": twin}, recording, known=False)
     step, live = swinging(stage), stage.players[0].live
-    found = dict.fromkeys(("simulated", "carried", "drawn"), np.nan)
+    found: dict[str, float] = dict.fromkeys(("simulated", "carried", "drawn"), np.nan)
 
     def waited(does):
         def one():
@@ -90,7 +91,7 @@ def rates(twin, recording: Scenario, *, gaussians: int, size: tuple[int, int], d
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.playground.cuda_rates", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m twinbench.benchmark.playground.cuda_rates", description=str(__doc__).split("\n")[0])
     parser.add_argument("--particles", type=int, nargs="+", default=[500, 2000, 5000])
     parser.add_argument("--methods", nargs="+", default=["phystwin", "continuum"])
     parser.add_argument("--gaussians", type=int, default=20_000, help="of the body, 0 for none")
@@ -111,7 +112,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for particles in asked.particles:
         recording = bar(particles)
         for method in asked.methods:
-            twin = replace(twins(recording)[method], device=asked.device)
+            made: Any = twins(recording)[method]
+            twin = replace(made, device=asked.device)
             steps = stage_of({"twin": twin}, recording, known=False).players[0].live.substeps
             options = dict(gaussians=asked.gaussians, size=(asked.width, asked.height), device=asked.device, frames=asked.frames)
             found = rates(twin, recording, **options)

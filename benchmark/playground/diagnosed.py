@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -67,7 +68,7 @@ def twins_of(folder: str) -> dict[str, Twin]:
     return found
 
 
-def recorded_for(twins: dict[str, Twin], scenario: Scenario) -> Scenario:
+def recorded_for(twins: dict[str, Any], scenario: Scenario) -> Scenario:
     """``scenario`` with the driven markers that ``twins`` were told of, which tracks do not say."""
     grips = next(iter(twins.values())).scene.grips
     return replace(scenario, grips=grips) if len(grips) == scenario.controllers.shape[1] else scenario
@@ -77,7 +78,7 @@ def _result(folder) -> dict:
     path = Path(folder) / "diagnosis.json"
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
-        said["evidence"]["recordings"][0]["name"], said["effect"]
+        _ = said["evidence"]["recordings"][0]["name"], said["effect"]
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
         raise ValueError(f"{path}: not what twinbench diagnose writes ({type(error).__name__}: {error})") from error
     return said

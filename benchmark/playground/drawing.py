@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -54,12 +55,12 @@ def layout(stage: Stage) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
 class Picture:
     """A player in a scene, ``number`` of those that stand side by side."""
 
-    scene: object
+    scene: Any
     stage: Stage
     player: Player
     number: int
     look: Look
-    gaussians: object = None  # ``Splats`` that follow the particles, or None
+    gaussians: Any = None  # ``Splats`` that follow the particles, or None
     handles: dict = field(default_factory=dict)
     scales: dict = field(default_factory=dict)
     said: str = ""  # the forces, in words
@@ -89,6 +90,7 @@ class Picture:
             off = None
             if pair is not None:
                 off = np.full(len(live.positions), np.nan)
+                assert self.stage.recording is not None  # or there would be no residual
                 seen = self.stage.recording.visible[self.stage.frame]
                 off[: live.counts[0]][seen] = np.linalg.norm(pair[0] - pair[1], axis=1)
             values = colours_of(kind, live, self.strain, self.player.before, off)
@@ -186,7 +188,7 @@ class Picture:
         recording = self.stage.recording
         frame = self.stage.frame
         there = recording is not None and look.recording and frame < recording.frame_count
-        seen = recording.points[frame][recording.visible[frame]] if there else None
+        seen = recording.points[frame][recording.visible[frame]] if there and recording is not None else None
         self._renew("recorded", seen)
         self._points("recorded", None if seen is None else seen + shift, SEEN, 0.8)
         self._lines("residual", np.stack(pair, 1) + shift if look.residual and pair is not None else None, OFF)
@@ -212,7 +214,7 @@ class Picture:
             "contacts", np.stack([places, places + 4 * contact * newton], 1) + shift if len(places) else np.zeros((0, 2, 3)), CONTACT
         )
         each = ", ".join(f"hand {k + 1}: {size:.3g} N" for k, size in enumerate(sizes))
-        weight = float(np.sum(self.player.live.mass)) * self._gravity()
+        weight = float(np.sum(np.asarray(self.player.live.mass))) * self._gravity()
         self.said = (
             f"{self.player.name}: {each or 'no hands'}; ground: {np.linalg.norm(down):.3g} N at {len(found.places)} points; "
             f"it weighs {weight:.3g} N"

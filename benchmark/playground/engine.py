@@ -11,6 +11,7 @@ from ...methods.base import Diverged
 from ...physics.batch import Batch, Carried, first_bad
 from ...physics.march import World
 from ...physics.system import System
+from ...physics.terms.stages import TouchTerm
 from .live import Forces, Live
 from .stress import node_stress
 
@@ -77,7 +78,12 @@ class EngineLive(Live):
         """The batch with ``times`` as many substeps."""
         one = self.batch
         return Batch(
-            [self.system], fps=one.fps, substeps=one.substeps * times, dt=one.dt / times, rounds=one.rounds, device=str(one.device)
+            [self.system],
+            fps=one.fps,
+            substeps=int(one.substeps[0]) * times,
+            dt=float(one.dt[0]) / times,
+            rounds=one.rounds.tolist(),
+            device=str(one.device),
         )
 
     def step(self, controllers):
@@ -161,16 +167,18 @@ class EngineLive(Live):
     def points_now(self) -> tuple[np.ndarray, np.ndarray]:
         """(P, 3) m and m/s of the material points."""
         points, v = self.system.points, self.batch.split(self.now.v)[0].double().cpu().numpy()
+        assert points is not None  # of bodies that have them
         return points.positions(self.nodes), points.positions(v)
 
     def _touching(self):
         """Each term's force law at each point of the skin that it acts on, after the bristles that the ground holds it by."""
         x, v = self.points_now()
         anchor, mass = self.now.carried.anchor.double().cpu().numpy(), self.batch.constants["carries"].double().cpu().numpy()
-        total = np.zeros_like(x)
-        for term in (t for t in self.system.terms if t.stage == "touch"):
+        total, points = np.zeros_like(x), self.system.points
+        assert points is not None  # of bodies that have them
+        for term in (t for t in self.system.terms if isinstance(t, TouchTerm)):
             values = self.values_of(term)
-            skin = np.flatnonzero(self.system.points.areas > 0)
+            skin = np.flatnonzero(points.areas > 0)
             for q in skin[_near(values, x[skin])]:
                 total[q] += term.twin(x[q], v[q], mass[q], anchor[q], *values.values())
         met = np.flatnonzero(np.abs(total).max(1) > 0)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...methods.continuum.twin import ContinuumTwin
 from ...physics.parameters import Parameter
+from ...physics.terms.stages import GripTerm
 from .engine import EngineLive
 from .live import Edges
 from .sliders import changed, offered
@@ -27,10 +30,10 @@ class ContinuumLive(EngineLive):
         self.twin, self.path, self.controllers, self.counts = twin, scene.controllers, scene.controllers[0], scene.counts
         self.known, self.note = None if known is None else np.asarray(known, float), SOON if known is None else ""
         self._values: dict[str, float] = {}
-        first = self.path if known is None else self.known  # the start velocity belongs to how the recording goes on
+        first = self.path if self.known is None else self.known  # the start velocity belongs to how the recording goes on
         self.simulator, complete = twin.simulator.under(twin.values)
         self.fps = self.simulator.scene.fps
-        self._ahead = None if known is None else scene.paths(self.known)
+        self._ahead: Any = None if known is None else scene.paths(self.known)
         self.begin(*self.simulator.ready([complete], 2, first[:2]))
         self.positions = self.shown(self.nodes, self.controllers)
 
@@ -108,7 +111,7 @@ class ContinuumLive(EngineLive):
         apart, rate = self.now.row[own] - x[grasp.points], (self.now.row - self._before.row)[own] * self.fps - v[grasp.points]
         mass = self.batch.constants["carries"].double().cpu().numpy()[grasp.points][:, None]
         held = made.held.double().cpu().numpy()[grasp.points][:, None]
-        term = next(t for t in one.terms if t.stage == "grip")
+        term = next(t for t in one.terms if isinstance(t, GripTerm))
         force = term.twin(apart, rate, mass, **self.values_of(term)) * held
         for k, hand in enumerate(scene.hands):
             hands[hand.controllers] = force[grasp.hand == k].sum(0) / max(1, len(hand.controllers))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -39,7 +40,7 @@ class SpringGausLive(Live):
 
     def _build(self):
         twin = self.twin
-        known = dict(gravity=twin.gravity * self._gravity, ground=twin.ground, fps=twin.fps, device=twin.device)
+        known: dict[str, Any] = dict(gravity=twin.gravity * self._gravity, ground=twin.ground, fps=twin.fps, device=twin.device)
         self._model = Model(twin.body, **known)
 
     def _hands(self, controllers):

@@ -11,6 +11,7 @@ from ...methods.phystwin.body import system, time_step
 from ...methods.phystwin.twin import PhysTwinTwin
 from ...physics.batch import Batch
 from ...physics.parameters import Parameter
+from ...physics.terms.stages import AxialTerm
 from .engine import EngineLive
 from .live import Edges
 from .sliders import changed, offered
@@ -90,7 +91,7 @@ class PhysTwinLive(EngineLive):
         rate = ((moving[hand] - v[body]) * along).sum(1)
         rest, stiffness = (made.rest[tied].double().cpu().numpy(), made.stiffness[tied].double().cpu().numpy())
         tension = np.zeros(len(tied))
-        for term in (t for t in one.terms if t.stage == "axial"):
+        for term in (t for t in one.terms if isinstance(t, AxialTerm)):
             tension += term.twin(length, rate, rest, stiffness, **self.values_of(term))
         np.add.at(hands, hand, tension[:, None] * along)
         return hands

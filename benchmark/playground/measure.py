@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def bar(particles: int) -> Scenario:
     tracked = int(outer.any(1).sum())
     frames = np.repeat(points[order[:tracked]][None], FRAMES, 0)
     seen = np.ones(frames.shape[:2], bool)
-    known = dict(interior=points[order[tracked:]], gravity=[0, 0, -9.81], fps=FPS, split=Split(FRAMES - 1, FRAMES))
+    known: dict[str, Any] = dict(interior=points[order[tracked:]], gravity=[0, 0, -9.81], fps=FPS, split=Split(FRAMES - 1, FRAMES))
     return Scenario(name=f"bar of {len(points)}", points=frames, visible=seen, motion_valid=seen, controllers=path, **known)
 
 
@@ -81,6 +82,7 @@ def swinging(stage: Stage):
     """A function that makes one frame, the hand going up and down without end."""
 
     def step():
+        assert stage.recording is not None  # of a bar that was made for this
         path = stage.recording.controllers
         stage.told = path[stage.frame % len(path)]
         stage.place(0, path[(stage.frame + 1) % len(path)].mean(0))
@@ -133,7 +135,7 @@ def _failed(stage):
 
 
 def _with_page(stage, name, asked):
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import sync_playwright  # pyright: ignore[reportMissingImports] - optional, and large
 
     from .filming import unused_port
     from .page import Page

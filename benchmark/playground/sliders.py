@@ -25,7 +25,7 @@ def offered(system: System) -> dict[str, Parameter]:
     if strength:
         found[GRAVITY] = Parameter(GRAVITY, min(strength, 30.0), 0.0, 30.0, "m/s^2", "strength of gravity")
     for term in system.terms:
-        amplitudes = term.effect.amplitudes if term.effect is not None else ()
+        amplitudes = term.stands_for().amplitudes if term.effect is not None else ()
         for p in term.parameters:
             if p.name not in amplitudes and (p.name in (*AXES, *INNER) or p.name.endswith(PLACES) or p.name.startswith(SHAPE)):
                 continue

@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +77,7 @@ class Stage:
         self.told = self.path[0].copy()
         self.hands, self.frame = hands_in(self.path), 0
         self._past: deque = deque(maxlen=MEMORY)
-        self._taken: list | None = None
+        self._taken: Any = None  # a list while it is recorded
 
     # ---------------------------------------------------------------- time
 

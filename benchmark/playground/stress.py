@@ -8,6 +8,7 @@ from ...physics.cells import point_sites
 from ...physics.materials import point_twin
 from ...physics.solids import gradients, strain_modes
 from ...physics.system import System
+from ...physics.terms.stages import AxialTerm, MembraneTerm, SolidTerm
 
 __all__ = ["cell_stress", "node_stress", "sheet_stress", "spring_pulls", "von_mises"]
 
@@ -45,6 +46,7 @@ def node_stress(system: System, nodes, *, rest=None, stiffness=None, memory=None
 def cell_stress(system: System, nodes, memory=None) -> np.ndarray:
     """(K,) Pa, von Mises' stress of Cauchy's P F' / det F in a solid's cells, the mean of their eight points; damping is not in it."""
     grid, lateral = system.grid, _lateral(system)
+    assert grid is not None  # of a solid
     modes = strain_modes(grid.points, grid.size, lateral)
     first, _, _, bent = gradients(np.asarray(nodes, float)[grid.nodes], grid.size, modes)
     deformed = first[:, None] @ (np.eye(3) + bent)
@@ -58,7 +60,7 @@ def cell_stress(system: System, nodes, memory=None) -> np.ndarray:
 
 def _lateral(system):
     """nu / (1 - nu) at small strains, as the cells bend with."""
-    known = [t.twin_moduli(**t.values) for t in system.terms if t.stage == "solid" and t.moduli is not None]
+    known = [t.twin_moduli(**t.values) for t in system.terms if isinstance(t, SolidTerm)]
     mu, lame = (sum(m) for m in zip(*known, strict=True))
     return lame / (lame + 2 * mu)
 
@@ -66,12 +68,13 @@ def _lateral(system):
 def sheet_stress(system: System, nodes) -> np.ndarray:
     """(F,) N/m, von Mises' of the resultants a S a' / J in a sheet's triangles, a their tangents and J how much their area has grown."""
     sheet, nodes = system.sheet, np.asarray(nodes, float)
+    assert sheet is not None
     corners = nodes[sheet.triangles]
     tangents = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ sheet.inverse
     metric = np.swapaxes(tangents, 1, 2) @ tangents
     strain = np.stack([(metric[:, 0, 0] - 1) / 2, (metric[:, 1, 1] - 1) / 2, metric[:, 0, 1] / 2], -1)
-    terms = [t for t in system.terms if t.stage == "membrane"]
-    a, b, c = sum(t.twin(strain, np.zeros_like(strain), **t.values) for t in terms).T
+    terms = [t for t in system.terms if isinstance(t, MembraneTerm)]
+    a, b, c = np.sum([t.twin(strain, np.zeros_like(strain), **t.values) for t in terms], axis=0).T
     within = np.stack([np.stack([a, c], -1), np.stack([c, b], -1)], -1)
     grown = np.sqrt(np.maximum(np.linalg.det(metric), 1e-12))
     return von_mises(tangents @ within @ np.swapaxes(tangents, 1, 2) / grown[:, None, None])
@@ -85,7 +88,7 @@ def spring_pulls(system: System, nodes, rest=None, stiffness=None) -> np.ndarray
     length = np.linalg.norm(nodes[ends[:, 0]] - nodes[ends[:, 1]], axis=1)
     rest = (system.rest if rest is None else np.asarray(rest))[own]
     stiffness = (system.stiffness if stiffness is None else np.asarray(stiffness))[own]
-    for term in (t for t in system.terms if t.stage == "axial"):
+    for term in (t for t in system.terms if isinstance(t, AxialTerm)):
         pulls[own] += term.twin(length, np.zeros_like(length), rest, stiffness, **term.values)
     return pulls
 

@@ -14,18 +14,20 @@ from .sorting import Cell, Head, sortable_table
 
 __all__ = ["listed", "page"]
 
+HERE = str(__package__)  # whose folder the files of this page are in
+
 SHARED = ("drawing.js", "curve.js")
 
 
 def page(results: Results, shown: Sequence[dict], methods: Mapping[str, str], notes: Iterable[str]) -> str:
     """The whole file. ``shown`` are exhibits as ``show`` gives them, ``methods`` says what each method is."""
     boards = sheets(results)
-    code = script(*map(asset, SHARED), asset("sortable.js", __package__), asset("report.js", __package__))
+    code = script(*(asset(name) for name in SHARED), asset("sortable.js", HERE), asset("report.js", HERE))
     collections = list(dict.fromkeys(row["collection"] for row in results.rows))
-    return Template(asset("report.html", __package__)).substitute(
+    return Template(asset("report.html", HERE)).substitute(
         title=escape(f"Digital twins of {', '.join(collections)}"),
         policy=policy(code),
-        style=asset("base.css") + asset("sortable.css", __package__) + asset("report.css", __package__),
+        style=asset("base.css") + asset("sortable.css", HERE) + asset("report.css", HERE),
         script=code,
         lead=escape(_lead(results)),
         tables="".join(map(_table, boards)),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,7 @@ def show(
     kept = some(whole, frames, [0, split.train_end - 1, min(split.train_end, whole - 1), whole - 1])
     progress("pictures")
     pictures, missing = _pictures(scenario, rollouts, kept, wanted=replay.settings.images)
-    return plain(
+    found: Any = plain(
         {
             "collection": exhibit.collection,
             "name": exhibit.name,
@@ -60,6 +61,7 @@ def show(
             "points": None if pictures else _points(scenario, rollouts, kept),
         }
     )
+    return found
 
 
 def _row(row: Mapping, metrics: Mapping[str, Metric]) -> dict:
@@ -87,7 +89,7 @@ def _curves(metric: Metric, rollouts: Mapping[str, Trajectory], scenario: Scenar
     return {method: curve for method, curve in found.items() if any(value is not None for value in curve)}
 
 
-def _pictures(scenario: Scenario, rollouts: Mapping[str, Trajectory], kept: list[int], *, wanted: bool) -> tuple[dict | None, str]:
+def _pictures(scenario: Scenario, rollouts: Mapping[str, Any], kept: list[int], *, wanted: bool) -> tuple[dict | None, str]:
     """What camera 0 recorded beside what it would have seen of each roll-out, or None and why there is nothing of the kind."""
     if not wanted:
         return None, "no metric of this run looks at images"

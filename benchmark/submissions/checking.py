@@ -6,11 +6,12 @@ import hashlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 from ...datasets.files import open_regular, read_json
 from ...datasets.findings import UNREADABLE, Finding, Findings, attempt, changed, collected, error, refuse, warning
-from ...datasets.plugins import nearest
 from ...datasets.scenario import Scenario
+from ...spelling import nearest
 from ..cache import Cache
 from ..checksum import Checksums
 from ..opening import Opened
@@ -57,7 +58,7 @@ def content(folder: Path, submission: Submission) -> str:
     state = hashlib.sha256()
     for name in dict.fromkeys((FILE, *(one.file for one in submission.rollouts if one.file))):
         with open_regular(Path(folder) / name) as stream:
-            state.update(f"{name}\n".encode() + hashlib.file_digest(stream, "sha256").digest())
+            state.update(f"{name}\n".encode() + hashlib.file_digest(cast(Any, stream), "sha256").digest())
     return state.hexdigest()
 
 

@@ -52,7 +52,7 @@ class Rollout:
 
     def __str__(self):
         more = f" and {len(self.fitted_on) - 1} more" if len(self.fitted_on) > 1 else ""
-        whose = f" by the twin fitted on {self.fitted_on[0]}{more}" if self.transfer else ""
+        whose = f" by the twin fitted on {next(iter(self.fitted_on))}{more}" if self.transfer else ""
         return f"the roll-out of {self.recording}{whose}, seed {self.seed}"
 
 

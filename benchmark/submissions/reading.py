@@ -40,7 +40,8 @@ def read_rollout(folder: Path, rollout: Rollout) -> Trajectory:
     if rollout.diverged_frame is not None:
         positions = positions.copy()  # as read, it may not be written to
         positions[rollout.diverged_frame :] = np.nan
-    return Trajectory(positions, tuple(int(n) for n in counts))
+    tracked, surface, interior = (int(n) for n in counts)
+    return Trajectory(positions, (tracked, surface, interior))
 
 
 def rollout_rules(folder: Path, rollout: Rollout, scenario: Scenario) -> Findings:

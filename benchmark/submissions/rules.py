@@ -10,8 +10,8 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from ...datasets.findings import Findings, error, shown
-from ...datasets.plugins import nearest
 from ...methods.appearance.config import quirks_named
+from ...spelling import nearest
 from ..options import SPLITS
 from ..plan import TASKS
 from ..text import shown as printable

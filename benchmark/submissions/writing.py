@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def _line(text: str) -> str:
     return shown(text)[:2000].strip()
 
 
-def write_arrays(file: Path, **arrays: np.ndarray) -> None:
+def write_arrays(file: Path, **arrays: Any) -> None:
     """Write an .npz file, which appears whole or not at all."""
     with replacing(file) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)

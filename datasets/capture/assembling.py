@@ -70,12 +70,14 @@ def _shape(recording, sights, tracked, options):
     if options.shape == "none" and not options.prior:
         return np.zeros((0, 3)), np.zeros((0, 3)), []
     cameras = tuple(Camera(c.intrinsics, c.camera_to_world, c.width, c.height) for c in recording.cameras)
-    first = [[getattr(s, what)[0] for s in sights] for what in ("object", "hand_mask")] + [[s.depth for s in sights]]
+    masks, hidden = ([getattr(s, what)[0] for s in sights] for what in ("object", "hand_mask"))
+    depths = [s.depth for s in sights]
     if not options.prior:
-        hull = visual_hull(cameras, *first, tracked, recording.ground, step=options.spacing)
+        hull = visual_hull(cameras, masks, hidden, depths, tracked, recording.ground, step=options.spacing)
         return hull.surface, hull.interior, []
     clouds = [s.cloud_at(0) for s in sights]
-    placed = place_prior(read_mesh(options.prior), cameras, *first, clouds, tracked, recording.ground, spacing=options.spacing)
+    views = cameras, masks, hidden, depths, clouds
+    placed = place_prior(read_mesh(options.prior), *views, tracked=tracked, ground=recording.ground, spacing=options.spacing)
     said = f"the mesh lies {1000 * placed.final:.1f} mm from what was measured (median), {100 * placed.carved:.0f} % of it was seen through"
     return placed.hull.surface, placed.hull.interior, [said]
 

@@ -99,7 +99,7 @@ def find_board(color: np.ndarray, intrinsics: np.ndarray, board: Board, frame: i
         raise ValueError(f"must show at least {LEAST_CORNERS} corners of the board, got {count}")
     corners = np.asarray(corners, np.float32).reshape(-1, 1, 2)
     corners = cv2.cornerSubPix(grey, corners, (3, 3), (-1, -1), (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-4))
-    places = np.asarray(made.getChessboardCorners(), float)[np.ravel(ids)]
+    places = np.asarray(made.getChessboardCorners(), float)[np.asarray(ids).ravel()]
     if np.linalg.matrix_rank(places[:, :2] - places[0, :2], tol=1e-6) < 2:
         raise ValueError(f"must show corners that are not on one line, got {count} that are")
     good, turn, shift = cv2.solvePnP(places, corners.astype(float), intrinsics, None, flags=cv2.SOLVEPNP_IPPE)
@@ -156,7 +156,8 @@ def _camera(raw: RawCamera, board, frames):
     pose, error = _refined(used, raw.intrinsics)
     if pose[2, 3] >= 0:
         raise ValueError(f"camera {raw.name}: must stand above the board, z into the table, got z = {pose[2, 3]:.3f} m: printed mirrored?")
-    scatter = tuple(float(np.median(x)) for x in _apart([view.pose for view in used]))
+    turns, shifts = _apart([view.pose for view in used])
+    scatter = float(np.median(turns)), float(np.median(shifts))
     return CameraCalibration(raw.name, pose, error, len(views), len(used), scatter, left_out, _table(raw, used[0], pose, board))
 
 

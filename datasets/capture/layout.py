@@ -99,7 +99,7 @@ def _camera(folder, name, entry):
             _check_inside(name, "background", one)
     frames = PictureFiles(folder, name, entry["color"], entry["depth"], tuple(size), background, depth_size and tuple(depth_size))
     if stamps is None:
-        if type(fps) not in (int, float) or not 0 < fps <= 1000:
+        if isinstance(fps, bool) or not isinstance(fps, int | float) or not 0 < fps <= 1000:
             raise ValueError(f"fps of camera {name} must be a number in (0, 1000], got {shown(fps)}")
         stamps = np.arange(len(frames)) / fps
     camera = RawCamera(
@@ -159,6 +159,7 @@ def put_poses(folder: str | Path, poses: dict[str, np.ndarray], world: RawRecord
     """
     read_layout(folder)
     file = manifest(Path(folder))
+    assert file is not None  # read_layout has read it
     about = read_manifest(file)
     if set(about["cameras"]) != set(poses):
         raise ValueError(f"{file}: must have the cameras that were calibrated, {sorted(poses)}, got {sorted(about['cameras'])}")

@@ -38,7 +38,8 @@ class Spooled:
 
     def __init__(self):
         self._files = (tempfile.TemporaryFile(), tempfile.TemporaryFile())  # noqa: SIM115 - open as long as this lives
-        self._shapes, self._order = None, None
+        self._shapes: tuple | None = None
+        self._order: list[int] = []
 
     def append(self, color: np.ndarray, depth: np.ndarray) -> None:
         """``color`` (H, W, 3) uint8 RGB, ``depth`` (H, W) uint16 of the next frame."""
@@ -46,7 +47,7 @@ class Spooled:
         if (color.shape, depth.shape) != self._shapes:
             raise ValueError(f"pictures must all have one size, got {self._shapes} and {(color.shape, depth.shape)}")
         for file, picture in zip(self._files, (color, depth), strict=True):
-            file.write(np.ascontiguousarray(picture))
+            file.write(np.ascontiguousarray(picture).data)
 
     def taken(self, order) -> Spooled:
         """This one, with the frames numbered as ``order`` (T,) of the frames that were appended says."""
@@ -65,6 +66,7 @@ class Spooled:
         return None
 
     def _read(self, which, frame, kind):
+        assert self._shapes is not None  # a number of a frame was given, so there is one
         shape, number = self._shapes[which], self._order[frame]
         count = int(np.prod(shape))
         start = number * count * np.dtype(kind).itemsize
@@ -83,7 +85,7 @@ class PictureFiles:
         self._video = None
         if "{}" not in color:
             self._video = Video(folder / color)
-        self._colors = None if self._video else _numbered(folder, color, _COLORS)
+        self._colors = [] if self._video else _numbered(folder, color, _COLORS)
         self._depths = _numbered(folder, depth, _DEPTHS)
         self._background = background and [folder / one for one in background]
         count = len(self._video or self._colors)
@@ -168,9 +170,9 @@ def _numbered(folder, pattern, suffixes):
     if Path(pattern).suffix.lower() not in suffixes or "{}" not in pattern:
         raise ValueError(f"pictures must be numbered files ({', '.join(sorted(suffixes))}) with {{}} for the number, got {pattern!r}")
     place = folder / pattern
-    before, after = place.name.split("{}") if "{}" in place.name else (None, None)
-    if before is None:
+    if "{}" not in place.name:
         raise ValueError(f"the number {{}} must stand in the name of the file, got {pattern!r}")
+    before, after = place.name.split("{}")
     found = {}
     for file in place.parent.iterdir() if place.parent.is_dir() else ():
         match = re.fullmatch(re.escape(before) + r"([0-9]{1,9})" + re.escape(after), file.name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,8 @@ class Seen:
             either = mask | behind
             off, edge = np.full(either.shape, np.inf), np.full(either.shape, np.inf)
             if either.any():
-                off, nearest = distance_transform_edt(~either, return_indices=True)
+                measured: Any = distance_transform_edt(~either, return_indices=True)
+                off, nearest = measured
                 own = np.where(mask & (depth > 0), depth, np.inf)
                 edge = minimum_filter(own, size=RIM, mode="constant", cval=np.inf)[
                     tuple(nearest)
@@ -141,7 +143,7 @@ def by_matches(pixels: np.ndarray, points: np.ndarray, camera: Camera, depth: np
         raise ValueError(f"matches of the mesh must lie where depth was measured, none of {len(agree)} does")
     scale = float(np.median(measured[known] / local[known, 2]))
     pose = camera.camera_to_world
-    return Similarity(scale / size, pose[:3, :3] @ turn, pose[:3, :3] @ (scale * np.ravel(shift)) + pose[:3, 3])
+    return Similarity(float(scale / size), pose[:3, :3] @ turn, pose[:3, :3] @ (scale * np.ravel(shift)) + pose[:3, 3])
 
 
 def searched(mesh, seen: Seen, views: tuple[int, int, int], best: int) -> list[Similarity]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,7 @@ def _camera(rs, file):
     try:
         profile.get_device().as_playback().set_real_time(False)
         align = _alignment(rs, file, profile)
-        stamps, spool, unit = [], Spooled(), None
+        stamps, spool, unit = [], Spooled(), math.nan
         while True:
             good, frames = pipeline.try_wait_for_frames(WAIT)
             if not good:
@@ -67,7 +68,7 @@ def _camera(rs, file):
     if not stamps:
         raise ValueError(f"{file}: must hold frames of colour and depth together, got none")
     stamps, order = np.unique(stamps, return_index=True)  # rising; a frameset in which nothing of colour is new is left out
-    k = [[intrinsics.fx, 0, intrinsics.ppx], [0, intrinsics.fy, intrinsics.ppy], [0, 0, 1]]
+    k = np.array([[intrinsics.fx, 0, intrinsics.ppx], [0, intrinsics.fy, intrinsics.ppy], [0, 0, 1]])
     size = (intrinsics.width, intrinsics.height)
     return RawCamera(file.stem, k, None, *size, stamps, unit, spool.taken(order), _arrivals(file, stamps))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -63,9 +64,10 @@ def refine(recording: RawRecording, options: RefineOptions | None = None, frame:
     """
     options = options or RefineOptions()
     _check(recording)
-    start = poses = [raw.camera_to_world for raw in recording.cameras]
+    start: list[Any] = [raw.camera_to_world for raw in recording.cameras]  # checked to be there
+    poses = start
     shown = [(raw.frames.color(frame), raw.metres(frame)) for raw in recording.cameras]
-    before = None
+    before: Any = None
     for _ in range(options.rounds):
         cameras = [Camera(raw.intrinsics, pose, raw.width, raw.height) for raw, pose in zip(recording.cameras, poses, strict=True)]
         places, flat = _flattened(cameras, shown, recording.ground, options)

@@ -89,4 +89,5 @@ def filled(mesh, seen: Seen, tracked: np.ndarray, *, surface: int, attempts: int
                 taken.add(tuple(cell))
                 kept.append(point)
         parts.append(np.array(kept).reshape(-1, 3))
-    return Hull(*parts, spacing), gone / max(total, 1)
+    skin, inner = parts
+    return Hull(skin, inner, spacing), gone / max(total, 1)

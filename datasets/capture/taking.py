@@ -50,7 +50,7 @@ def take(
     """
     options = options or LiveOptions()
     folder = None if out is None else files_of(Path(out))
-    if out is not None:
+    if out is not None and folder is not None:
         for one in (Path(out), folder):
             if one.exists():
                 raise ValueError(f"{one}: already exists; recordings are not replaced")
@@ -64,7 +64,7 @@ def take(
     frames, dropped = ({c.name: getattr(c, what) for c in cameras} for what in ("frames", "dropped"))
     if silent := [name for name, count in frames.items() if not count]:
         raise ValueError(f"camera {', '.join(silent)}: delivered no frame of colour: is its cable a USB 3 cable?")
-    if folder is None:
+    if out is None or folder is None:
         return Taken(frames, dropped)
     files = tuple(folder / f"{camera.name}.db3" for camera in cameras)
     for file, camera in zip(files, cameras, strict=True):

@@ -159,10 +159,11 @@ def plush(rng: np.random.Generator, *, fine: bool = False, refine: int = 1) -> B
     crumple at the hand, which no mesh of this size shows.
     """
     size = [(0.24, 0.06, 0.026), (0.2, 0.12, 0.025), (0.16, 0.09, 0.05), (0.3, 0.05, 0.03)][int(rng.integers(4))]
-    size = tuple(float(x) for x in np.array(size) * rng.uniform(0.9, 1.15, 3))
+    a, b, c = (float(x) for x in np.array(size) * rng.uniform(0.9, 1.15, 3))
+    size = a, b, c
     pitch = 0.016 if fine else 0.023
-    cells = tuple(refine * int(n) for n in np.maximum(np.round(np.array(size) / pitch), [1, 2, 1 + fine]))
-    shape = Plush(size=size, cells=cells, taper=rng.uniform(0, 0.4), rounding=rng.uniform(0, 0.35), roundness=rng.uniform(0, 0.6))
+    i, j, k = (refine * int(n) for n in np.maximum(np.round(np.array(size) / pitch), [1, 2, 1 + fine]))
+    shape = Plush(size=size, cells=(i, j, k), taper=rng.uniform(0, 0.4), rounding=rng.uniform(0, 0.35), roundness=rng.uniform(0, 0.6))
     density, sag = rng.uniform(60, 130), float(np.exp(rng.uniform(np.log(0.3), np.log(2))))
     young = float(np.clip(1.5 * density * GRAVITY * size[0] ** 3 / (size[2] ** 2 * sag), *FOAM))  # of a beam under its own weight
     body = Body("plush", shape.vertices, shape.tetrahedra, shape.faces, np.ones(len(shape.vertices)), 1e-3, young)

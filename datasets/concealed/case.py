@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +12,10 @@ from ..synthetic.simulate import to_world
 from . import bodies, motions
 from .bodies import Body
 from .effects import EFFECTS, OUTSIDE, Effect, Occasion
-from .engine import Motion, Physics, Unstable
 from .engines import engine as engine_of
 from .motions import Script
 from .sensing import Tracker, observe, sensed
+from .world import Motion, Physics, Unstable
 
 __all__ = ["CLEAR", "CONTROLS", "Case", "build", "nudged"]
 
@@ -38,7 +39,7 @@ class Case:
     fit: Scenario
     transfer: Scenario
     label: dict
-    truth: dict[str, np.ndarray] = field(default_factory=dict)
+    truth: dict[str, Any] = field(default_factory=dict)
 
 
 # Hard controls: nothing is missing, but something is harder than usual.
@@ -139,7 +140,8 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, ho
         ]
     if how != {"solids": "tetrahedra", "thin": "coarse"}:  # labels of sets that are sealed already stay as they were published
         label |= how | {"motion": [motions.parts(script) for script in scripts]}
-    return Case(*recordings, label, {f"{part}_{name}": v for part, (_, true) in filmed.items() for name, v in true.items()})
+    fit, transfer = recordings
+    return Case(fit, transfer, label, {f"{part}_{name}": v for part, (_, true) in filmed.items() for name, v in true.items()})
 
 
 def _scripts(planned, body, rng):
@@ -314,7 +316,7 @@ def _places(effects, motions, recordings):
 
 def _place(effect: Effect, motion: Motion, recording: Scenario):
     """Where the effect is, in frame-0 world metres: centroid and radius, and which particles of the recording's structure; or None."""
-    if effect.place is not None:
+    if effect.place is not None and effect.radius is not None:
         return {"centroid": to_world(effect.place).tolist(), "radius": float(effect.radius), "points": []}
     if effect.vertices is None:
         return None

@@ -11,8 +11,10 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +22,8 @@ from . import bodies, motions
 from .bodies import SOLIDS, THIN, meshing
 from .case import nudged
 from .convergence import NOISE, Row, markdown
-from .engine import Unstable
 from .engines import ENGINES, able, engine, require
+from .world import Unstable
 
 __all__ = ["compare", "main", "refined", "shared_vertices"]
 
@@ -74,8 +76,9 @@ def _predictable(body, script, vertices, by):
 def _row(kind, by, motion, seed, how, one, other, frames, seconds):
     apart = 1000 * np.linalg.norm(one - other, axis=2)
     early = apart[: max(frames, 1)]
+    known: list[Any] = [kind, meshing(kind, **how), "+".join(by), motion, seed, frames, len(one)]
     figures = [float(np.round(f(v), 3)) for v in (early, apart) for f in (np.median, lambda v: np.quantile(v, 0.9))]
-    return Row(kind, meshing(kind, **how), "+".join(by), motion, seed, frames, len(one), *figures, round(seconds, 1))
+    return Row(*[*known, *figures, round(seconds, 1)])
 
 
 def main(arguments=None) -> int:
@@ -108,7 +111,8 @@ def _wanted(options):
 def _measured(kind, by, motion, seed, how, frames):
     """The row, as a list; none where a simulation is unstable."""
     try:
-        row = (compare if "+" in by else refined)(kind, *by.split("+"), motion, seed, frames=frames, **how)
+        run: Callable[..., Any] = compare if "+" in by else refined
+        row = run(kind, *by.split("+"), motion, seed, frames=frames, **how)
     except Unstable as reason:
         print(f"{kind} {by} {motion} {seed}: {reason}", file=sys.stderr, flush=True)
         return []

@@ -14,9 +14,9 @@ import numpy as np
 from ..synthetic.simulate import GRAVITY
 from . import laws
 from .bodies import Body
-from .engine import Motion, Obstacle, Physics
 from .motions import Script
 from .sensing import Faults
+from .world import Motion, Obstacle, Physics
 
 __all__ = ["EFFECTS", "OUTSIDE", "Effect", "Occasion", "Planned"]
 
@@ -320,15 +320,16 @@ def hidden_tether(on, size):
     outward = np.array([*(centre[:2] / max(np.linalg.norm(centre[:2]), 1e-6)), 0])
     anchor = on.motions[0].vertices[0][near].mean(axis=0) + rest * outward + [0, 0, on.rng.uniform(0, 0.03)]
     moves = on.rng.random() < 0.4
-    path, parameters = None, {"stiffness_N_m": stiffness, "rest_m": rest, "anchor": _world(anchor), "moves": bool(moves)}
+    path = None
+    parameters = {"stiffness_N_m": stiffness, "rest_m": rest, "anchor": _world(anchor), "moves": bool(moves)}
     if moves:  # a second hand that nobody listed
         way = np.array([*on.rng.uniform(-0.1, 0.1, 2), on.rng.uniform(0.05, 0.2)])
         begin = on.rng.uniform(0.3, 0.9)
 
-        def path(time):
+        def moved(time):
             return way * (0.5 - 0.5 * np.cos(np.pi * np.clip((time - begin) / 0.8, 0, 1)))
 
-        parameters["way_m"] = _world(way)
+        path, parameters["way_m"] = moved, _world(way)
     law = laws.tether(near, anchor, stiffness, rest, path)
     return _forces(on, law, parameters=parameters, vertices=near, substeps=48)
 

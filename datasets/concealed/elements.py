@@ -31,7 +31,7 @@ class Elements:
         matrix[:, i, j] = matrix[:, j, i] = upper[:, : len(i)]
         return cls(model.flex_edge[edges], model.flexedge_length0[edges] ** 2, matrix)
 
-    def store(self, model, factor=1.0) -> None:
+    def store(self, model, factor: float | np.ndarray = 1.0) -> None:
         """Write ``matrix`` times ``factor`` (one, or one an element) into the model."""
         count = self.matrix.shape[1]
         i, j = np.triu_indices(count)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..synthetic.simulate import GRAVITY, HAND_MASS, imported, numbers, spin, warnings
+from ..synthetic.simulate import HAND_MASS, imported, numbers, spin, warnings
 from .bodies import Body
 from .elements import Elements
 from .motions import Script
+from .world import SETTLE, ElasticWorld, Motion, Physics, Step, run
 
-__all__ = ["UNABLE_OF_CELLS", "Law", "Motion", "Obstacle", "Physics", "Unstable", "World", "about", "filmed", "pulled", "simulate", "stuck"]
+__all__ = ["UNABLE_OF_CELLS", "World", "about", "pulled", "simulate", "stuck"]
 
-FPS = 30.0
-SETTLE = 0.3  # the body lies in closed grips that long before frame 0 [s]
 SLIPPERY = 1e-5  # of the table: MuJoCo takes the larger coefficient of the two in contact, so the body's own counts
 UNROLLED = 0.1  # m, torsional and rolling friction of a rope: where friction times its radius is less it slides and never rolls
 CELLS_SMALLER = 2  # as many steps for quadratic cells: these ring where tetrahedra are too stiff to, and the steps are of first order
@@ -24,7 +22,6 @@ CLOSE = 1e-6  # relative residual to which steps of quadratic cells are solved; 
 JOINT, STIFFNESS = 10, 4  # numbers that MuJoCo keeps for a joint of a rope, and which of them is half its stiffness E I / l
 FIRM = 0.9999  # impedance of the grip on a resolved rope or cloth
 BEND = 17  # numbers that it keeps for an edge of a cloth
-FASTEST = 20.0  # no vertex of a sane simulation is faster [m/s]
 # what laws ask of elements, and MuJoCo's quadratic cells, linear and corotated, do not give
 UNABLE_OF_CELLS = frozenset(
     {
@@ -33,70 +30,16 @@ UNABLE_OF_CELLS = frozenset(
     }
 )
 
-Step = Callable[[float, np.ndarray, np.ndarray], np.ndarray | None]
-Law = Callable[["World"], Step]
 
-
-class Unstable(RuntimeError):
-    """An engine's solution cannot be trusted."""
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A sphere, an upright cylinder or a box around ``place`` (3,) [m], of radius and half sides ``size`` [m]."""
-
-    shape: str
-    place: tuple[float, float, float]
-    size: float
-
-
-@dataclass(frozen=True)
-class Physics:
-    """What surrounds the body. laws: each is given the world once and then, in every step, time [s] from frame 0, positions and velocities
-    (V, 3), and returns forces (V, 3) [N] or None; it may also change the world. belt: velocity of the table's surface [m/s].
-    ground: height of the table at the origin [m], and how steeply it rises along x and y."""
-
-    gravity: tuple[float, float, float] = (0.0, 0.0, -GRAVITY)
-    laws: tuple[Law, ...] = ()
-    obstacles: tuple[Obstacle, ...] = ()
-    belt: tuple[float, float] = (0.0, 0.0)
-    ground: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def joined(self, other: Physics) -> Physics:
-        """The surroundings with both."""
-        gravity = other.gravity if self.gravity == Physics.gravity else self.gravity
-        ground = self.ground if any(self.ground) else other.ground
-        return Physics(
-            gravity, self.laws + other.laws, self.obstacles + other.obstacles, self.belt if any(self.belt) else other.belt, ground
-        )
-
-
-@dataclass(frozen=True)
-class Motion:
-    """What moved, z up: vertices (T, V, 3), and of H hands position (H, T, 3) and rotation (H, T, 3, 3). Metres.
-
-    gripped  (H,) arrays of vertex indices
-    events   frames at which laws said that something began
-    """
-
-    vertices: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    gripped: tuple[np.ndarray, ...]
-    events: dict = field(default_factory=dict)
-
-
-class World:
-    """The running simulation, as laws see it: MuJoCo's ``model`` and ``data``, the ``body``, its ``gripped`` vertices, ``dt`` [s]."""
+class World(ElasticWorld):
+    """The running simulation in MuJoCo's ``model`` and ``data``."""
 
     def __init__(self, body: Body, script: Script, physics: Physics, substeps: int):
         _check_cells(body)
-        self.mujoco, self.body, self.dt = imported(), body, 1 / (FPS * substeps)
-        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
-        self.start = body.vertices + [0, 0, body.radius]
+        super().__init__(body, script, substeps)
+        self.mujoco = imported()
         self.model = self.mujoco.MjModel.from_xml_string(_mjcf(body, self.start, self.gripped, physics, self.dt))
-        self.data = self.mujoco.MjData(self.model)
-        self.events = {}
+        self.data, self.warnings = self.mujoco.MjData(self.model), []
         own = self.model.flex_vertbodyid if body.cells is None else self.model.flex_nodebodyid
         self.bodies = own[: len(body.vertices)]
         self.dofs = self.model.body_dofadr[self.bodies][:, None] + np.arange(3)
@@ -106,7 +49,7 @@ class World:
         self.mujoco.mj_setConst(self.model, self.data)
         self.model.dof_damping[self.dofs] = body.drag * body.mass[:, None]
         self._material()
-        self._grips(script)
+        self._grips()
         self.mujoco.mj_forward(self.model, self.data)
 
     # --- what laws ask and do, of every engine ----------------------------------------------------------------------------------------
@@ -254,7 +197,7 @@ class World:
 
     def _clamp(self):
         """Where a held segment of a rope ends, half of what a joint stands for is in the hand."""
-        held = np.isin(self.body.elements, np.concatenate([np.zeros(0, int), *self.gripped])).all(axis=1)
+        held = np.asarray(np.isin(self.body.elements, np.concatenate([np.zeros(0, int), *self.gripped])).all(axis=1))
         joints = self.model.flex_bending[1:].reshape(-1, JOINT)  # a number of joints, then for each vertices, stiffness, angles, twist
         joints[:, STIFFNESS] *= np.where(held[1:] ^ held[:-1], 2.0, 1.0)
 
@@ -269,8 +212,7 @@ class World:
         for row, ends in enumerate(model.flex_edge.tolist()):
             rows[row] *= factor.get(tuple(sorted(ends)), 1.0)
 
-    def _grips(self, script):
-        self.origins = [np.array(hand.grip) + [0, 0, self.body.radius] for hand in script.hands]
+    def _grips(self):
         for held, origin, first in zip(self.gripped, self.origins, np.cumsum([0, *map(len, self.gripped)]), strict=False):
             rows = slice(first, first + len(held))
             self.model.eq_data[rows, :3], self.model.eq_data[rows, 3:6] = self.start[held] - origin, 0
@@ -280,6 +222,24 @@ class World:
         data, q, v = self.data, 7 * hand, 6 * hand
         data.qpos[q : q + 3], data.qvel[v : v + 3], data.qvel[v + 3 : v + 6] = position, velocity, turning
         self.mujoco.mju_mat2Quat(data.qpos[q + 3 : q + 7], rotation.ravel())
+
+    def begin(self, paths=()):
+        super().begin(paths)
+        self.clamps = _Clamps(self) if self.body.dim == 1 else None
+        self.speeds = [(np.diff(moves, axis=0) / self.dt, spin(turns) / self.dt) for moves, turns in paths]
+
+    def place(self, step):
+        for hand, ((moves, turns), (velocity, turning)) in enumerate(zip(self.paths, self.speeds, strict=True)):
+            self.hold(hand, self.origins[hand] + moves[step], velocity[step], turns[step], turning[step])
+        if self.clamps:
+            self.clamps.turn([turns[step] for _, turns in self.paths])
+
+    def said(self):
+        return self.warnings[0] if self.warnings else ""
+
+    def go(self, step, external):
+        self.data.qfrc_applied[self.dofs] = external
+        self.mujoco.mj_step(self.model, self.data)
 
 
 def stuck(world, mass: np.ndarray, extra: float, speed: float) -> Step:
@@ -319,46 +279,8 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     physics = physics or Physics()
     substeps *= CELLS_SMALLER if body.cells is not None else ROPE_SMALLER if body.resolved and body.dim == 1 else 1
     world = World(body, script, physics, substeps)
-    steps, settle = (script.frames - 1) * substeps, round(settle / world.dt)
-    paths = []
-    for hand in script.hands:
-        moves, turns = hand.path((np.arange(-settle, steps + 2)) * world.dt)
-        paths.append((moves, np.diff(moves, axis=0) / world.dt, turns, spin(turns) / world.dt))
-    laws = [law(world) for law in physics.laws]
-    clamps = _Clamps(world) if body.dim == 1 else None
-    frames = []
-    with warnings(world.mujoco) as said:
-        for step in range(settle + steps + 1):
-            for index, (moves, velocity, turns, turning) in enumerate(paths):
-                world.hold(index, world.origins[index] + moves[step], velocity[step], turns[step], turning[step])
-            if clamps:
-                clamps.turn([turns[step] for _, _, turns, _ in paths])
-            x, v = world.positions(), world.velocities()
-            if step >= settle and (step - settle) % substeps == 0:
-                frames.append(x)
-            if said or not np.abs(v).max() < FASTEST:
-                raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: {said[0] if said else 'it blew up'}")
-            forces = [force for law in laws if (force := law((step - settle) * world.dt, x, v)) is not None]
-            world.data.qfrc_applied[world.dofs] = sum(forces) if forces else 0
-            world.mujoco.mj_step(world.model, world.data)
-    return filmed(world, script, frames, [(moves, turns) for moves, _, turns, _ in paths], settle + np.arange(script.frames) * substeps)
-
-
-def filmed(world, script: Script, frames: list[np.ndarray], paths: list[tuple[np.ndarray, np.ndarray]], sampled: np.ndarray) -> Motion:
-    """The motion of a ``world`` with ``origins``, whose hands moved and turned along ``paths``, of which ``sampled`` steps are frames.
-
-    Raises Unstable where a tetrahedron was turned inside out: St. Venant-Kirchhoff's energy has a second rest there, and no body does that.
-    """
-    vertices, body = np.array(frames), world.body
-    if body.dim == 3 and not body.volumes(vertices).min() > 0:
-        raise Unstable(f"{script.name} of {body.kind} turns elements inside out")
-    return Motion(
-        vertices,
-        np.array([origin + moves[sampled] for origin, (moves, _) in zip(world.origins, paths, strict=True)]),
-        np.array([turns[sampled] for _, turns in paths]),
-        world.gripped,
-        {name: round(time * FPS) for name, time in world.events.items()},
-    )
+    with warnings(world.mujoco) as world.warnings:
+        return run(world, script, physics, steps=substeps, settle=settle)
 
 
 def about() -> dict:

@@ -1,4 +1,5 @@
-"""The engines that simulate what is concealed: modules with ``simulate`` (body, script, physics -> ``Motion``) and ``about``.
+"""The engines that simulate what is concealed: modules with ``simulate`` (body, script, physics -> ``Motion``) and ``about``. Each has a
+``World`` (``world.py``), by which ``run`` goes through the script.
 
 Modules that do not simulate every body have ``BODIES``, those it does; those that cannot conceal everything have ``UNABLE``,
 the names that they cannot.

@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor, as_completed
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..pool import Pool
+from ..temporary import replacing
 from .bodies import SOLIDS, THIN, meshing
 from .case import CLEAR, CONTROLS, build
 from .convergence import refinement
@@ -31,7 +33,8 @@ def plan(
     """(kind, name, body) of every case, in the order of the cases: all names in turn, on all bodies in turn, then shuffled."""
     rng = np.random.default_rng([seed, 0])
     chosen = []
-    tables = (("effect", EFFECTS, effects), ("outside", OUTSIDE, outside), ("control", dict.fromkeys(CONTROLS), controls))
+    plain: dict[str, Any] = dict.fromkeys(CONTROLS)
+    tables = (("effect", EFFECTS, effects), ("outside", OUTSIDE, outside), ("control", plain, controls))
     for kind, table, count in tables:
         turns, wanted = {}, [n for n in table if n in (only or ())]
         for name in islice(cycle(wanted or table), count):
@@ -116,9 +119,8 @@ def _write(options):
             except RuntimeError as reason:
                 print(f"{name}: {reason}", flush=True)
                 continue
-            temporary = file.with_suffix(".partial")
-            temporary.write_text(json.dumps(dict(sorted(labels.items())), indent=1))
-            temporary.rename(file)
+            with replacing(file) as temporary:
+                temporary.write_text(json.dumps(dict(sorted(labels.items())), indent=1))
             print(f"{done}/{len(todo)} {row(name, labels[name])}", flush=True)
     print("\n".join(row(name, label) for name, label in sorted(labels.items())))
 

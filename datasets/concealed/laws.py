@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .engine import Law
+from .world import Law
 
 __all__ = [
     "adhesion",

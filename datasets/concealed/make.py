@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
@@ -105,7 +105,7 @@ def make(
     return manifest
 
 
-def _here(work: Mapping[str, Callable[[], str]], jobs: int) -> Iterator:
+def _here(work: Mapping, jobs: int) -> Generator:
     with Pool(jobs) as pool:
         yield from finished(pool, work)
 
@@ -124,7 +124,7 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
     for attempt, (body, by, clear, level) in enumerate(tried):
         own = int(np.random.default_rng([entropy(seed), 1, index, attempt]).integers(2**31))
         try:
-            case = build(entry.kind, entry.name, body, seed=own, clear=tuple(clear), like=entry.like, engine=by, **how)
+            case = build(entry.kind, entry.name, body, seed=own, clear=(clear[0], clear[1]), like=entry.like, engine=by, **how)
         except RuntimeError as reason:
             reasons.append(str(reason))
             continue

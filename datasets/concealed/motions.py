@@ -136,7 +136,7 @@ def drag(body, rng, end):
             step[:2] = -step[:2]
             heading += np.pi
         at = at + step
-        moves.append([*at[:2], rng.uniform(0.01, 0.06)])
+        moves.append(np.array([*at[:2], rng.uniform(0.01, 0.06)]))
     times = _stretched([0, *rng.uniform(0.25, 0.5, len(moves) - 1)], end)
     return (_hand(body, grip, reach, times, moves),)
 

@@ -14,7 +14,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 __all__ = [
-    *("HASH", "NAME", "content", "digest", "file_digest", "folder_digest", "named", "parsed", "read_json", "salt_of", "sealed", "seed_of"),
+    "HASH",
+    "NAME",
+    "content",
+    "digest",
+    "file_digest",
+    "folder_digest",
+    "named",
+    "parsed",
+    "read_json",
+    "salt_of",
+    "sealed",
+    "seed_of",
     "write_json",
 ]
 

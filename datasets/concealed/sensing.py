@@ -13,8 +13,8 @@ from ..synthetic.sensor import Sensor
 from ..synthetic.simulate import GRAVITY, to_world
 from ..synthetic.tracking import Attached, rounded, spread, thin
 from .bodies import Body
-from .engine import FPS, Motion
 from .motions import Script
+from .world import FPS, Motion
 
 __all__ = ["Faults", "Tracker", "observe", "sensed"]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..synthetic.objects import Plush
@@ -28,8 +30,11 @@ def stuffed(rng: np.random.Generator, *, fine: bool = False, refine: int = 1, bo
     size = np.array(SHAPES[int(rng.integers(len(SHAPES)))]) * rng.uniform(0.9, 1.15, 3)
     blocks = np.maximum(np.round(size / PITCH), 1).astype(int)
     times = refine * (2 if fine else 1)
-    grid = tuple(int(n) for n in 2 * times * blocks)
-    curved = {name: 0.0 if box else value for name, value in zip(CURVED, rng.uniform(0, list(CURVED.values())), strict=True)}
+    i, j, k = (int(n) for n in 2 * times * blocks)
+    grid = i, j, k
+    curved: dict[str, Any] = {
+        name: 0.0 if box else value for name, value in zip(CURVED, rng.uniform(0, list(CURVED.values())), strict=True)
+    }
     shape = Plush(size=tuple(size), cells=grid, **curved)
     density, sag = rng.uniform(60, 130), float(np.exp(rng.uniform(np.log(SAG[0]), np.log(SAG[1]))))
     young = float(np.clip(1.5 * density * GRAVITY * size[0] ** 3 / (size[2] ** 2 * sag), *FOAM))  # of a beam under its own weight

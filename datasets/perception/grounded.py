@@ -41,7 +41,7 @@ class GroundedSam2(Sam2):
         """Boxes (K, 4) left, top, right, bottom [pixel], scores (K,) and labels in frame 0."""
         try:
             import torch
-            from transformers import AutoModelForZeroShotObjectDetection, AutoProcessor
+            from transformers import AutoModelForZeroShotObjectDetection, AutoProcessor  # pyright: ignore[reportMissingImports] - optional, and large
         except ImportError as error:
             said = "pip install 'transformers>=4.51', huggingface.co/IDEA-Research/grounding-dino-tiny"
             raise ImportError(f"masks by grounded-sam2 need Grounding DINO (Apache-2.0): {said} ({error})") from error

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ class Sam2(Masker):
     def propagated(self, clip: Clip, thing: dict, hands: list[dict]) -> Masks:
         """Masks of all frames from prompts in frame 0: points with labels, or a box, of the object and of each hand."""
         try:
-            from sam2.sam2_video_predictor import SAM2VideoPredictor
+            from sam2.sam2_video_predictor import SAM2VideoPredictor  # pyright: ignore[reportMissingImports] - optional, and large
         except ImportError as error:
             raise ImportError(
                 f"masks by sam2 need SAM 2 (Apache-2.0): pip install sam2, github.com/facebookresearch/sam2 ({error})"
@@ -50,7 +51,7 @@ class Sam2(Masker):
             for frame, ids, logits in predictor.propagate_in_video(state):
                 for one, logit in zip(ids, logits, strict=True):
                     found[int(one) - 1, frame] = (logit[0] > 0).cpu().numpy()
-        hand = found[1:].any(0)
+        hand = np.asarray(found[1:].any(0))
         return Masks(found[0] & ~hand, hand)
 
 
@@ -79,7 +80,8 @@ class CoTracker(Tracker):
         import torch
 
         try:
-            model = torch.hub.load(self.repository, self.model, trust_repo=True, verbose=False).to(self.device)
+            load: Any = torch.hub.load  # says that ``trust_repo`` is a string, and takes what its manual says
+            model = load(self.repository, self.model, trust_repo=True, verbose=False).to(self.device)
         except Exception as error:  # no network, no cache, another layout of the repository: torch.hub raises many kinds
             where = f"torch.hub.load('{self.repository}', '{self.model}')"
             raise ImportError(

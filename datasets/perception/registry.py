@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ..collection import nearest
+from ...spelling import nearest
 from .background import BackgroundMasks
 from .base import Masker, Tracker
 from .flow import FlowTracks

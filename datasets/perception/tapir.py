@@ -49,7 +49,7 @@ class Tapir(Tracker):
         import torch
 
         try:
-            from tapnet.torch import tapir_model
+            from tapnet.torch import tapir_model  # pyright: ignore[reportMissingImports] - optional, and large
         except ImportError as error:
             raise ImportError(f"tracks by tapir need TAPIR (code Apache-2.0, weights CC-BY 4.0): {_CODE} ({error})") from error
         try:

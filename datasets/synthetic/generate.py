@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..collection import nearest
+from ...spelling import nearest
 from ..phystwin import write_case
 from ..scenario import Plane, Scenario, Split
 from . import resolved
@@ -83,7 +83,7 @@ def record(
     order = np.lexsort(measured[0].T[::-1])  # published cases list their points by frame-0 coordinates
     tracked, measured = tracked[order], measured[:, order]
     truth, seen = points[:, tracked], seen[:, :, tracked]
-    visible = seen.any(axis=0)
+    visible = np.asarray(seen.any(axis=0))
     scenario = Scenario(
         name=name,
         points=np.where(visible[..., None], measured, 0),

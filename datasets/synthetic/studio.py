@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...spelling import nearest
 from ..capture.pictures import Held
 from ..capture.recording import RawCamera, RawRecording
-from ..collection import nearest
 from ..scenario import Camera
 from .hand import Hand
 from .interactions import DRAG, LIFT, Interaction
@@ -125,6 +125,7 @@ def film_studio(
 
 def _at(body: Plush, motion: Interaction) -> Interaction:
     """The motion with its grip at the same end of another body."""
+    assert motion.grip is not None  # of a stuffed body, which is held at a place
     side = np.sign(motion.grip[0])
     return replace(motion, grip=(side * (body.size[0] / 2 - 0.02), 0.0, body.size[2] / 2), grip_radius=0.035)
 

@@ -101,7 +101,8 @@ class Empty:
         if (depth < 0.05).any():
             return slice(None), slice(None)
         low, high = pixels.min(0) - 2, pixels.max(0) + 3
-        return tuple(slice(max(int(a), 0), max(int(b), 0)) for a, b in zip(low[::-1], high[::-1], strict=True))
+        columns, rows = (slice(max(int(a), 0), max(int(b), 0)) for a, b in zip(low, high, strict=True))
+        return rows, columns
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,10 @@ class Stage:
             middle = np.zeros((height, width), bool)
             middle[window] = seen[part]
             masks.append(RAYS**2 * share + middle > (RAYS**2 + 1) / 2)
-        pictures = _picture(_pooled(color, height, width), clean, optics, rng)
+        color, depth = _picture(_pooled(color, height, width), clean, optics, rng)
         clean = np.where(np.isfinite(clean), clean, 0).astype(np.float32)
-        return Shot(*pictures, *masks, clean, face, weights)
+        shown, hidden = masks
+        return Shot(color, depth, shown, hidden, clean, face, weights)
 
     def _cast(self, empty, body, hand):
         """What each ray meets in the window where anything stands: depth, body, hand (h, w), face, weights (h, w, 3)."""

@@ -32,11 +32,11 @@ def texture(pattern: str, rng: np.random.Generator) -> Callable[[np.ndarray], np
         return lambda rest: np.broadcast_to(0.5 * (dark + light), (len(rest), 3))
     if pattern == "bands":
 
-        def paint(rest):
+        def bands(rest):
             wave = np.sin(rest[:, 0] / 0.011 + 3 * octaves[0](rest)) + np.sin(rest[:, 1] / 0.009 + 3 * octaves[1](rest))
             return _mix(dark, light, 1 / (1 + np.exp(-3 * wave)))
 
-        return paint
+        return bands
 
     def paint(rest):
         total = sum(weight * (octave(rest) - 0.5) for weight, octave in zip((0.9, 0.8, 0.7), octaves, strict=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -66,12 +67,12 @@ class Effect:
     @classmethod
     def of_term(cls, kind: str, term: type[Term], bodies: tuple[str, ...], **about) -> Effect:
         """The effect that a term declares, with what ``about`` says otherwise."""
-        told, known = term.effect, {p.name: p for p in term.parameters}
+        told, known = term.stands_for(), {p.name: p for p in term.parameters}
         amounts = tuple(
             Amount(a, told.typical[a] or max(abs(v) for v in told.typical.values()), known[a].low, known[a].high, known[a].unit)
             for a in told.amplitudes
         )
-        usual = dict(name=told.name, says=told.says, amounts=amounts, shapes=told.shapes, motion=told.motion)
+        usual: dict[str, Any] = dict(name=told.name, says=told.says, amounts=amounts, shapes=told.shapes, motion=told.motion)
         usual |= dict(place=told.place, within=told.within, anchored=f"{told.place}_anchor_x" in known)
         return cls(kind=kind, term=term, bodies=bodies, **(usual | about))
 

@@ -14,7 +14,7 @@ __all__ = ["effects"]
 @cache
 def effects(body: str | None = None) -> tuple[Effect, ...]:
     """Those for a kind of ``body``, or all."""
-    package = __package__
+    package = str(__package__)
     modules = [import_module(f"{package}.{m.name}") for m in iter_modules(import_module(package).__path__)]
     found = [e for module in modules for e in getattr(module, "EFFECTS", ())]
     return tuple(e for e in found if body is None or body in e.bodies)

@@ -14,7 +14,7 @@ Run = Callable[[np.ndarray], np.ndarray]
 SHORTER = 0.3  # times the step that led to something worse
 
 
-def absorb(runs, reference, slopes, sd, run: Run, bounds, *, rounds: int) -> tuple[np.ndarray, np.ndarray]:
+def absorb(runs, reference, slopes: np.ndarray, sd: np.ndarray, run: Run, bounds, *, rounds: int) -> tuple[np.ndarray, np.ndarray]:
     """(left (K, B) m, shifts (K, n)) of ``runs`` (K, B) m against a ``reference`` (B,) m: what is left is against real runs of it.
 
     slopes  (B, n) m for one prior standard deviation of each parameter, whose prior precision is then 1
@@ -28,8 +28,10 @@ def absorb(runs, reference, slopes, sd, run: Run, bounds, *, rounds: int) -> tup
     """
     runs = np.asarray(runs, float)
     count, size = len(runs), slopes.shape[1]
-    base, at = np.tile(np.asarray(reference, float), (count, 1)), np.zeros((count, size))
-    ways, reach = np.tile(slopes, (count, 1, 1)), np.ones(count)
+    base: np.ndarray = np.tile(np.asarray(reference, float), (count, 1))
+    at: np.ndarray = np.zeros((count, size))
+    ways: np.ndarray = np.tile(slopes, (count, 1, 1))
+    reach: np.ndarray = np.ones(count)
     for _ in range(rounds):
         heard = np.hypot(sd, np.sqrt(np.mean((runs - base) ** 2, 0)))
         trial = np.array(
@@ -44,13 +46,13 @@ def absorb(runs, reference, slopes, sd, run: Run, bounds, *, rounds: int) -> tup
     return runs - base, at
 
 
-def _step(left, slopes, heard, at):
+def _step(left, slopes, heard, at) -> np.ndarray:
     """(n,) from ``at`` to the likeliest shifts, by slopes and the prior around nothing."""
     ways = slopes / heard[:, None]
     return np.linalg.solve(ways.T @ ways + np.eye(len(at)), ways.T @ (left / heard) - at)
 
 
-def _cost(left, heard, at):
+def _cost(left, heard, at) -> np.ndarray:
     """(K,) twice the negative log posterior; infinite of what diverged."""
     found = np.sum((left / heard) ** 2, 1) + np.sum(at**2, 1)
     return np.where(np.isfinite(found), found, np.inf)

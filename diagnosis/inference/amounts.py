@@ -40,7 +40,8 @@ class Scale:
         if len(amounts) > 1:
             return cls(wide, None, np.array([a.low for a in amounts]) / wide, np.array([a.high for a in amounts]) / wide)
         numbers, sizes = [0.0], [0.0]
-        for end in (amounts[0].low, amounts[0].high):
+        amount = next(iter(amounts))
+        for end in (amount.low, amount.high):
             if end == 0:
                 continue
             asked = np.sign(end) * np.geomspace(min(abs(end), wide[0] / 4), abs(end), STEPS)

@@ -8,6 +8,7 @@ sum over tracks of their contributions' products, and a draw of it is that sum w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Blocks:
 
     points: np.ndarray
     seen: np.ndarray
-    weights: object
+    weights: Any
     label: np.ndarray
     bins: np.ndarray
     cells: np.ndarray

@@ -79,7 +79,7 @@ def comparable(case: Scenario, sound: Scenario) -> Scenario:
         if apart > HANDS:
             raise ValueError(f"hands must be within {1e3 * HANDS:g} mm of those they are compared with, got {1e3 * apart:.1f} mm{where}")
     if (case.actuation is None) != (sound.actuation is None) or (
-        case.actuation is not None and not np.allclose(case.actuation, sound.actuation[:count])
+        case.actuation is not None and sound.actuation is not None and not np.allclose(case.actuation, sound.actuation[:count])
     ):
         raise ValueError(f"further inputs must be those of the recording they are compared with, and differ{where}")
     middles = [one.points[0][one.visible[0]].mean(0) for one in (case, sound)]

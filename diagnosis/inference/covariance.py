@@ -115,10 +115,11 @@ def chosen(scatter: Scatter, config: DiagnosisConfig, noisy: np.ndarray) -> Prio
             score = _score(scatter, prior, kernel, smooth, noisy) / noisy.shape[1]
             if best is None or score > best.score:
                 best = Prior(strength, memory, reach, score)
+    assert best is not None  # a config has some memories, reaches and strengths
     return best
 
 
-def _score(scatter: Scatter, prior: Prior, kernel, smooth, noisy: Sequence[np.ndarray]) -> float:
+def _score(scatter: Scatter, prior: Prior, kernel, smooth, noisy: Sequence[np.ndarray] | np.ndarray) -> float:
     """Mean log density of each member, were only the others known."""
     fixed, degrees = scatter.noise + scatter.slopes @ scatter.slopes.T, prior.strength + len(noisy) - 1
     scales = (scatter.without(k).error(prior, kernel, smooth) + fixed for k in range(len(noisy)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -75,7 +76,9 @@ class Forward:
         """
         if not twin.posterior:
             raise ValueError(f"a twin must keep the posterior of its fit, got none (scenario {twin.scene.name})")
-        unknowns = tuple(Unknown(**{k: tuple(v) if isinstance(v, list) else v for k, v in u.items()}) for u in twin.posterior["unknowns"])
+        listed: list[dict[str, Any]] = twin.posterior["unknowns"]
+        read: list[dict[str, Any]] = [{k: tuple(v) if isinstance(v, list) else v for k, v in u.items()} for u in listed]
+        unknowns = tuple(Unknown(**known) for known in read)
         scenes = [twin.scene]
         made = Config(contact="on" if twin.scene.contact else "off")
         for one in recordings[1:]:

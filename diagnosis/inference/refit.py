@@ -146,7 +146,7 @@ def _step(at, jacobian, data, likelihood, rows, low, high):
     return step, float(downhill @ step) / 2
 
 
-def gained(data, sound, other, cells: Sequence) -> Gain:
+def gained(data, sound, other, cells: Sequence | np.ndarray) -> Gain:
     """What ``other`` (B,) m removes of ``sound``'s (B,) m squared error in ``data`` (B,) m; ``cells`` (B,): what a jackknife leaves out."""
     before, after = np.square(data - sound), np.square(data - other)
     if not len(before) or not np.isfinite(after).all():

@@ -97,7 +97,7 @@ def _measured(forward, reference, plan, config):
         for k in wrong:
             amount = plan[k][0].effect.amounts[plan[k][1]]
             sizes[k] = np.clip(sizes[k] * factors[k], amount.low, amount.high)
-        runs[wrong] = forward.rows([_row(forward, *plan[k], sizes[k]) for k in wrong])
+        runs[wrong] = forward.rows([_row(forward, plan[k][0], plan[k][1], sizes[k]) for k in wrong])
     return (runs - reference) / sizes[:, None]
 
 

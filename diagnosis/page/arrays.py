@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ def view(evidence: dict, index: int, record: dict, marked) -> dict | None:
         "arrays": arrays,
         "controllers": controllers,
         "marked": [int(p) for p in marked if 0 <= p < count],
-        "weight": WEIGHTS.get(record.get("role"), 1.0),
+        "weight": WEIGHTS.get(str(record.get("role")), 1.0),
         "centre": centre.tolist(),
         "radius": radius,
         **_body(observed, centre),
@@ -64,7 +65,7 @@ def _body(observed: np.ndarray, centre: np.ndarray) -> dict:
 
     The path is smoothed, lest the view shakes when points vanish.
     """
-    seen = np.isfinite(observed).all(-1)
+    seen = np.asarray(np.isfinite(observed).all(-1))
     frames = np.flatnonzero(seen.any(1))
     if not len(frames):
         return {"path": np.tile(centre, (len(observed), 1)).tolist(), "reach": 1e-3}
@@ -73,17 +74,17 @@ def _body(observed: np.ndarray, centre: np.ndarray) -> dict:
     window = np.ones(min(9, len(path))) / min(9, len(path))
     edge = (len(window) // 2, len(window) - 1 - len(window) // 2)
     path = np.stack([np.convolve(np.pad(axis, edge, mode="edge"), window, "valid") for axis in path.T], axis=1)
-    return {"path": path.tolist(), "reach": max(_high([np.linalg.norm(observed - path[:, None], axis=-1)], 0.99), 1e-3)}
+    return {"path": path.tolist(), "reach": max(_high([np.linalg.norm(observed - path[:, None], axis=-1)], 0.99) or 0.0, 1e-3)}
 
 
-def thin(views: list[dict | None], budget: int) -> list[dict | None]:
+def thin(views: list[Any], budget: int) -> list[dict | None]:
     """Views as the page reads them, of at most about ``budget`` numbers together; a case gets twice a transfer's share.
 
     Each has ``frames`` and ``points`` (which ones were kept), ``arrays`` {name: packed}, ``centre`` and ``radius`` of the scene, ``path``
     and ``reach`` of the body, ``residual`` and ``force`` (98 of 100 are below: ends of the scales). What a small recording leaves of its
     share goes to the larger ones.
     """
-    out: list[dict | None] = [None] * len(views)
+    out: list[Any] = [None] * len(views)
     left = float(budget)
     order = sorted((i for i, one in enumerate(views) if one), key=lambda i: _size(views[i]) / views[i]["weight"])
     weight = sum(views[i]["weight"] for i in order)

@@ -13,7 +13,7 @@ import numpy as np
 __all__ = ["asset", "embedded", "plain", "policy", "script"]
 
 
-def asset(name: str, package: str = __package__) -> str:
+def asset(name: str, package: str = str(__package__)) -> str:
     """The text of a page file; by default one of those that all pages share."""
     return resources.files(package).joinpath(name).read_text(encoding="utf-8")
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...datasets.collection import nearest
 from ...datasets.scenario import Camera, Observed
+from ...spelling import nearest
 from ..base import Trajectory
 from .config import CORRECTED, PRESETS, Quirks
 from .gaussians import Gaussians
@@ -89,7 +89,7 @@ class Appearance:
         file = Path(folder) / "appearance.json"
         try:
             about = json.loads(file.read_text(encoding="utf-8"))
-            quirks, device = Quirks(**asdict(CORRECTED) | about["quirks"]), device or about["device"]  # without the switches of later
+            quirks, device = Quirks(**asdict(CORRECTED) | about["quirks"]), str(device or about["device"])  # without the switches of later
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise ValueError(f"{file}: not a saved appearance ({error})") from error
         return cls(Gaussians.load(Path(folder) / "gaussians.npz"), quirks, device)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...datasets.collection import nearest
+from ...spelling import nearest
 
 __all__ = ["AS_PUBLISHED", "CORRECTED", "PRESETS", "Config", "Quirks", "quirks_named"]
 

@@ -33,7 +33,7 @@ def starting_gaussians(points, colours, config: Config) -> Gaussians:
     harmonics = np.zeros((len(points), (config.degree + 1) ** 2, 3))
     harmonics[:, 0] = (np.asarray(colours) - 0.5) / CONSTANT
     opacities = np.full(len(points), config.start_opacity)
-    return Gaussians(*(np.float32(v) for v in (points, 0.5 * np.log(square), opacities, harmonics)))
+    return Gaussians(*(torch.as_tensor(np.float32(v)) for v in (points, 0.5 * np.log(square), opacities, harmonics)))
 
 
 def camera_extent(cameras, points) -> float:

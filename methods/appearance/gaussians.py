@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from ...datasets.temporary import replacing
 
 if TYPE_CHECKING:
     import torch
@@ -57,26 +59,28 @@ class Gaussians:
         """Degree of the spherical harmonics."""
         return {1: 0, 4: 1, 9: 2, 16: 3}[self.harmonics.shape[1]]
 
+    def _each(self, change: Callable[[torch.Tensor], torch.Tensor]) -> Gaussians:
+        kept = change(self.positions), change(self.log_scales), change(self.opacities), change(self.harmonics)
+        return Gaussians(*kept, None if self.rotations is None else change(self.rotations))
+
     def to(self, *where) -> Gaussians:
         """The same on another device or of another floating type."""
-        return Gaussians(*(None if v is None else v.to(*where) for v in self._values()))
+        return self._each(lambda v: v.to(*where))
 
     def detach(self) -> Gaussians:
         """The same values without their history."""
-        return Gaussians(*(None if v is None else v.detach().clone() for v in self._values()))
+        return self._each(lambda v: v.detach().clone())
 
     def __getitem__(self, which) -> Gaussians:
         """Those that an index tensor or a mask names."""
-        return Gaussians(*(None if v is None else v[which] for v in self._values()))
+        return self._each(lambda v: v[which])
 
     def save(self, file: str | Path) -> None:
         """Write an npz file; it appears whole or not at all."""
         file = Path(file)
         arrays = {f.name: v.detach().cpu().numpy() for f, v in zip(fields(self), self._values(), strict=True) if v is not None}
-        part = file.with_name(f"{file.name}.{os.getpid()}.part")
-        with part.open("wb") as out:
+        with replacing(file) as temporary, temporary.open("wb") as out:
             np.savez_compressed(out, **arrays)
-        part.replace(file)
 
     @classmethod
     def load(cls, file: str | Path) -> Gaussians:

@@ -21,7 +21,7 @@ def draw(positions, log_scales, opacities, colours, view: Viewpoint):
     gradient. Raises ImportError without gsplat, ValueError for tensors that are not on a GPU or cameras with skewed pixels.
     """
     try:
-        from gsplat import rasterization
+        from gsplat import rasterization  # pyright: ignore[reportMissingImports] - optional, and large
     except ImportError as error:
         raise ImportError('renderer "gsplat" needs gsplat: pip install "twinbench[gsplat]" (and a CUDA device)') from error
     if positions.device.type != "cuda":

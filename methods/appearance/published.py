@@ -43,8 +43,10 @@ def read_gaussians(path: str | Path) -> Gaussians:
     rest = _columns(found, names).reshape(len(scales), 3, higher // 3)
     harmonics = np.concatenate([_columns(found, _CONSTANT)[:, None], rest.transpose(0, 2, 1)], axis=1)
     opacities = 1 / (1 + np.exp(-found["opacity"].astype(float).clip(-700, 700)))
+    import torch
+
     parts = (_columns(found, _POSITION), scales[:, 0], opacities, harmonics)
-    return Gaussians(*(np.ascontiguousarray(part, np.float32) for part in parts))
+    return Gaussians(*(torch.as_tensor(np.ascontiguousarray(part, np.float32)) for part in parts))
 
 
 def _columns(found, names) -> np.ndarray:

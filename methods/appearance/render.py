@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 
-from ...datasets.collection import nearest
 from ...datasets.scenario import Camera
+from ...spelling import nearest
 from . import gsplat_renderer
 from .gaussians import Gaussians
 from .harmonics import colours
@@ -19,7 +21,9 @@ RENDERERS = ("auto", "torch", "gsplat")
 THIN = 1e-10  # alpha below which an expected depth is not divided by it (gsplat)
 
 
-def render(gaussians: Gaussians, camera: Camera, *, renderer: str = "auto", background=0.0, depth: bool = False, half_pixel: bool = False):
+def render(
+    gaussians: Gaussians, camera: Camera, *, renderer: str = "auto", background=0.0, depth: bool = False, half_pixel: bool = False
+) -> Any:
     """RGBA (H, W, 4) of what ``camera`` sees, of the Gaussians' type and on their device, differentiable in all their fields.
 
     RGB is the blended colour over ``background`` (a number or three), so multiplied by alpha over black; it can exceed 1. With ``depth``

@@ -33,7 +33,8 @@ class Viewpoint:
         pose, intrinsics = camera.camera_to_world, np.array(camera.intrinsics, float)
         intrinsics[:2, 2] -= PIXEL if half_pixel else 0
         arrays = (intrinsics, np.ascontiguousarray(pose[:3, :3].T), pose[:3, 3])
-        return cls(*(torch.tensor(a, dtype=like.dtype, device=like.device) for a in arrays), camera.width, camera.height)
+        k, rotation, centre = (torch.tensor(a, dtype=like.dtype, device=like.device) for a in arrays)
+        return cls(k, rotation, centre, camera.width, camera.height)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar
 
+from ...datasets.scenario import Scenario
 from ..base import Method
 from .config import Config
 
@@ -55,7 +56,7 @@ class Continuum(Method):
         from .bodies import bodies_of
         from .hands import hands_of
 
-        seen = scenario.observed() if hasattr(scenario, "observed") else scenario
+        seen = scenario.observed() if isinstance(scenario, Scenario) else scenario
         try:
             bodies_of([seen])
             hands_of(seen)

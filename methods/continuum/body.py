@@ -77,6 +77,7 @@ def body_of(recording: Observed, *, kind: str | None = None, pitch: float | None
     kind = kind or told
     if kind != "solid" and pitch is None:
         return _ungridded(recording, kind, evidence, inside, notes)
+    assert inside is not None  # or there would be no volume to be a solid
     _refuse_thin(inside, spacing, kind, where)
     if evidence["growth"] > GROWTH:
         notes.append(f"how much its points enclose is uncertain: {100 * evidence['growth']:.0f} % more if gaps a fifth wider are closed")

@@ -107,7 +107,7 @@ def _farthest(tree, distance, root, done):
             if other not in length and other not in done:
                 length[other], before[other] = length[node] + distance[node, other], node
                 open_.append(other)
-    way = [max(length, key=length.get)]
+    way = [max(length, key=length.__getitem__)]
     while before[way[-1]] >= 0:
         way.append(before[way[-1]])
     return way[::-1]

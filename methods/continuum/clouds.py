@@ -8,6 +8,7 @@ plane ends, the way to the rim counts as well.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +74,7 @@ def evenly(points, apart: float) -> np.ndarray:
     from scipy.spatial import cKDTree
 
     free, kept = np.ones(len(points), bool), []
-    tree = cKDTree(points) if len(points) else None
+    tree: Any = cKDTree(points) if len(points) else None
     for k in np.random.default_rng(0).permutation(len(points)):
         if free[k]:
             kept.append(k)

@@ -55,6 +55,7 @@ class Runner:
         return dict(zip(plan, self(rows), strict=True))
 
     def _told(self, states) -> list[State]:
+        assert self.jacobian is not None  # who comes here has asked
         values = self.problem.values([s.scaled for s in states])
         told, shape = np.asarray(self.jacobian(values), float), (len(values), len(self.seen), values.shape[1])
         if told.shape != shape:

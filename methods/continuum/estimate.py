@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -104,7 +105,7 @@ def estimate(
 
         return tell
 
-    options = dict(independent=task.independent, seed=seed)
+    options: dict[str, Any] = dict(independent=task.independent, seed=seed)
     rough = np.hypot(task.noise, min(s.rough for s in task.sights))
     if begin:
         starts = np.array([[begin.get(u.name, u.value) for u in task.unknowns]])

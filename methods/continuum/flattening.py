@@ -14,7 +14,7 @@ APART = 2.0  # times their distance in frame 0, by which neighbours on one layer
 ROUNDS = 60  # of stress majorisation
 
 
-def neighbours(points, tracks=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def neighbours(points, tracks=None) -> tuple[np.ndarray, np.ndarray, bool]:
     """(links (E, 2), their lengths on the sheet (E,) m, whether some that lie together come apart) of ``points`` (N, 3) [m] in frame 0.
 
     tracks  (T, N, 3) m, NaN where not seen: two layers that lie on each other come apart some time, neighbours on a layer never

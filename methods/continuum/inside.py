@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class Inside:
     """
 
     points: np.ndarray
-    mesh: object
+    mesh: Any  # scipy.spatial.Delaunay
     kept: np.ndarray
     radius: float
 
@@ -128,7 +129,7 @@ def inside_of(points, spacing: float, *, radius: float | None = None) -> Inside:
         raise ValueError(f"the {len(points)} points of the body lie in a plane, so that they have no inside")
     carving = Carving(points + np.random.default_rng(0).uniform(-ASIDE, ASIDE, points.shape) * spacing)
     if radius is None:
-        radius = MARGIN * next((r for r in spacing * RADII if carving.whole(r)), spacing * RADII[-1])
+        radius = MARGIN * float(next((r for r in spacing * RADII if carving.whole(r)), spacing * RADII[-1]))
     kept = carving.kept(radius)
     if not kept.any():
         raise ValueError(f"the {len(points)} points of the body enclose nothing that a ball of {1e3 * radius:.1f} mm does not reach")

@@ -30,7 +30,7 @@ def shape_unknowns() -> list[Unknown]:
 
 def shape_values(shape: np.ndarray) -> dict[str, float]:
     """The modes' values by name, of ``shape`` (MODES,) 1/m, a + i b."""
-    return {f"natural_{axis}{k}": float(part[k]) for axis, part in (("a", shape.real), ("b", shape.imag)) for k in range(MODES)}
+    return {f"natural_{axis}{k}": float(part[k]) for axis, part in (("a", np.real(shape)), ("b", np.imag(shape))) for k in range(MODES)}
 
 
 def common_shapes(chain: np.ndarray, lengths: np.ndarray, recordings: Sequence[Observed]) -> np.ndarray:

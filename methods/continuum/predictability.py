@@ -34,7 +34,7 @@ class Predictability:
         return self.sd**-2
 
 
-def absorbed(apart, jacobian, sd, precision=0.0) -> tuple[np.ndarray, np.ndarray]:
+def absorbed(apart, jacobian, sd, precision: float | Sequence[float] | np.ndarray = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """(shifts (K, n), what they leave (K, R)) of a Gauss-Newton step from the reference to each of K runs ``apart`` (K, R) from it.
 
     jacobian (R, n); sd (R,) by which the step weighs; precision (n,) of the unknowns' priors around the reference.
@@ -60,7 +60,7 @@ def smoothed(squares, block, time, width: float) -> np.ndarray:
 
 
 def predictability(
-    runs, reference, jacobian, noise, *, block, time, width: float, precision: float | Sequence[float] = 0.0
+    runs, reference, jacobian, noise, *, block, time, width: float, precision: float | Sequence[float] | np.ndarray = 0.0
 ) -> Predictability:
     """How well each of R coordinates can be predicted.
 

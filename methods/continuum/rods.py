@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -100,7 +101,7 @@ class Rod(Body):
         return cls(strands, radius, natural, recording.structure, np.full(len(recording.structure), -1))
 
     @classmethod
-    def joined(cls, bodies, recordings):
+    def joined(cls, bodies: Sequence[Any], recordings):
         """Of markers: the order of the first, and one set of lengths, medians over all frames; of others the shape of the first."""
         first = bodies[0]
         if not first.is_marked:
@@ -241,7 +242,7 @@ class Rod(Body):
         return 1e-3 * LINE_DENSITY * GRAVITY * self.strands.length**3
 
     @classmethod
-    def unknowns(cls, bodies: Sequence[Body]) -> list[Unknown]:
+    def unknowns(cls, bodies: Sequence[Any]) -> list[Unknown]:
         """From a chain's to a rod's, by the length over which weight bends it; damping times of 1 to 100 ms."""
         log, usual = np.log, bodies[0].usual
         found = [
@@ -255,7 +256,7 @@ class Rod(Body):
         return [*found, Unknown("natural_kept", 0.9, 0.0, 1.2, "-", prior=(0.8, 0.4))]
 
     @classmethod
-    def starts(cls, bodies, recordings, unknowns, config: Config) -> np.ndarray:
+    def starts(cls, bodies: Sequence[Any], recordings, unknowns, config: Config) -> np.ndarray:
         """Softer and stiffer ropes; of markers each with natural shapes that frames of the recordings have in common."""
         first, shapes = bodies[0], [{}]
         if first.is_marked:

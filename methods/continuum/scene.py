@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,9 @@ class Scene:
         """
         radius = max(SOFT * recording.spacing, FINGER)
         hands = hands_of(recording, radius=radius)
-        known = dict(counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity)
+        known: dict[str, Any] = dict(
+            counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity
+        )
         known |= dict(ground=_below(recording.ground, body), fps=recording.fps)
         known |= dict(speeds=speeds, contact=contact, timed=recording.timed)
         notes = (*body.notes, *notes, *(n for hand in hands for n in hand.notes))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -184,7 +185,7 @@ class Cloth(Body):
     # ---------------------------------------------------------------- fitted
 
     @classmethod
-    def unknowns(cls, bodies: Sequence[Body]) -> list[Unknown]:
+    def unknowns(cls, bodies: Sequence[Any]) -> list[Unknown]:
         """From silk to felt, by bending lengths of 4 mm to 9 cm; damping times of 0.5 to 100 ms; air drag from none to that of a tenth of
         the density."""
         log, usual = np.log, bodies[0].usual
@@ -197,7 +198,7 @@ class Cloth(Body):
         ]
 
     @classmethod
-    def starts(cls, bodies, recordings, unknowns, config: Config) -> np.ndarray:
+    def starts(cls, bodies: Sequence[Any], recordings, unknowns, config: Config) -> np.ndarray:
         """Limper and stiffer sheets, pinched in more and in less."""
         rows = []
         for rigidity, stiffness, reach in product(RIGIDITIES, STIFFNESSES, REACHES):

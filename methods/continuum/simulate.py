@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,7 +14,7 @@ from ...physics.batch import Batch
 from ...physics.latest import Latest
 from ...physics.penetrations import Penetrations, penetrations
 from ...physics.stability import stable_rounds, stable_substeps
-from ...physics.system import System
+from ...physics.system import FILLED, System
 from ...physics.terms import CoulombGround, Gravity, LayerContact, SoftGrip
 from ...physics.terms.base import Term
 from .scene import Scene
@@ -66,7 +67,7 @@ class Simulator:
             terms += [LayerContact({"layer_thickness": scene.body.thickness})]
         return System(
             positions=scene.body.positions,
-            velocities=scene.velocities,
+            velocities=FILLED if scene.velocities is None else scene.velocities,
             controllers=scene.paths()[:1],
             grips=np.concatenate([driven, soft, fastened]),
             points=replace(scene.points, holds=holds, held=held),
@@ -139,7 +140,7 @@ class Simulator:
 
     def _timed(self, values, rates, frames, controllers):
         """What ``run`` returns where frames come at ``rates`` (B,) a second, those of one rate together."""
-        found = [None] * len(values)
+        found: list[Any] = [None] * len(values)
         for rate in np.unique(rates):
             own, known_steps = np.flatnonzero(rates == rate), self._known_rates.setdefault(_no_faster(rate), {})
             other = replace(self, scene=replace(self.scene, fps=float(rate)))
@@ -205,8 +206,11 @@ class Simulator:
         fast, so that what a run of one frame misses is added.
         """
         launch, speed = self.scene.launch, torch.zeros_like(inputs.v)
+        assert launch is not None and launch.field is not None  # who comes here has asked
         goal = launch.field.seen(launch.velocity)
-        best = [(np.inf, np.zeros_like(launch.velocity), None)] * len(batch.systems)  # (missed, m/s of the nodes, of the tracks)
+        best: list[tuple[Any, Any, Any]] = [(np.inf, np.zeros_like(launch.velocity), None)] * len(
+            batch.systems
+        )  # (missed, m/s of the nodes, of the tracks)
         tried = [launch.velocity] * len(best)
         for _ in range(LAUNCHES + 1):
             for own, one in zip(batch.split(speed), tried, strict=True):
@@ -236,7 +240,9 @@ class Simulator:
             table[:, batch.column("layer_rate")] = torch.as_tensor(HARD * self.scene.fps * batch.substeps)
         each = controllers if np.ndim(controllers) == 4 else [controllers]
         path = np.concatenate([_lasting(self.scene.paths(one), frames) for one in each], 1)
-        held = np.tile(self.system.points.held, (len(values), 1))
+        points = self.system.points
+        assert points is not None  # bodies of this method have them
+        held = np.tile(points.held, (len(values), 1))
         for row, one in zip(held, values, strict=True):
             row[self.scene.grasp.points] = self.scene.firmness(*self.grips(one))
         made = dict(dtype=batch.dtype, device=batch.device)

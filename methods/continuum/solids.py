@@ -74,6 +74,7 @@ class Solid(Body):
     @classmethod
     def told(cls, recording: Observed, told: SolidBody) -> Solid:
         """As ``told`` has it, cells and all."""
+        assert told.grid is not None  # of a kind "solid"
         return cls(told.grid, told.surface, told.area, recording.structure, recording.counts, told.notes)
 
     def coarser(self, recording: Observed, times: float) -> Solid:
@@ -92,7 +93,8 @@ class Solid(Body):
         laid = align(self.structure, cloud, surface=outer)
         apart = np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2))
         there = dict(structure=target.structure, counts=target.counts, weights=np.zeros((0, 4)))
-        body, alike = None, apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0))
+        body: SolidBody | None = None
+        alike = apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0))
         if not alike or (apart > ONE and not self.is_loaded):
             body = body_of(target, kind="solid", pitch=float(self.grid.size.mean()))
         if alike and (body is None or body.notes):
@@ -100,6 +102,7 @@ class Solid(Body):
             surface = self.surface @ rotation.T + shift
             loaded = self.equilibrium and replace(self.equilibrium, nodes=self.equilibrium.nodes @ rotation.T + shift)
             return replace(self, grid=posed(self.grid, rotation, shift), surface=surface, notes=(), equilibrium=loaded, **there)
+        assert body is not None and body.grid is not None  # made above unless the other one was taken
         notes = () if alike else ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
         return replace(self, grid=body.grid, surface=body.surface, area=body.area, notes=notes, equilibrium=None, **there)
 
@@ -229,8 +232,8 @@ class Solid(Body):
     @classmethod
     def restored(cls, arrays, notes):
         grid = Grid(**{f.name: arrays[f"grid_{f.name}"] for f in fields(Grid)})
-        counts = tuple(int(n) for n in arrays["counts"])
-        kept = cls(grid, arrays["surface"], float(arrays["area"]), arrays["structure"], counts, notes)
+        tracked, surface, interior = (int(n) for n in arrays["counts"])
+        kept = cls(grid, arrays["surface"], float(arrays["area"]), arrays["structure"], (tracked, surface, interior), notes)
         if "equilibrium_nodes" in arrays:
             kept = replace(kept, equilibrium=Equilibrium(arrays["equilibrium_nodes"], float(arrays["equilibrium_modulus"])))
         return replace(kept, weights=arrays.get("weights", kept.weights))

@@ -62,7 +62,7 @@ def starts_at_rest(recording: Observed) -> Start:
         return Start(True, 0.0, float("inf"), 0.0, "clouds, whose points do not correspond, say nothing; rest is assumed")
     if recording.observed_frames < FIRST:
         return Start(True, 0.0, float("inf"), 0.0, f"fewer than {FIRST} frames were observed and say nothing; rest is assumed")
-    seen = recording.visible[:FIRST].all(0)
+    seen = np.asarray(recording.visible[:FIRST].all(0))
     driven = np.isin(np.arange(len(seen)), recording.grips)
     seen = seen & ~driven if (seen & ~driven).any() else seen
     if not seen.any():
@@ -118,7 +118,7 @@ def _seen_twice(recording):
         raise ValueError(f"a start velocity needs points that correspond from frame to frame, got clouds (scenario {recording.name})")
     if recording.observed_frames < 2:
         raise ValueError(f"a start velocity needs two observed frames, got {recording.observed_frames} (scenario {recording.name})")
-    seen = recording.visible[:2].all(0)
+    seen = np.asarray(recording.visible[:2].all(0))
     if not seen.any():
         raise ValueError(f"a start velocity needs a track that was seen in frames 0 and 1, got none (scenario {recording.name})")
     return seen

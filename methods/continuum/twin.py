@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -141,8 +142,8 @@ class ContinuumTwin(Twin):
             own = {f.name: arrays[f"hand{k}_{f.name}"] for f in fields(Hand) if f.name not in ("turns", "notes")}
             hands.append(Hand(**own, turns=turns, notes=tuple(notes)))
         ground = None if state["ground"] is None else Plane(np.array(state["ground"][:3]), state["ground"][3])
-        known = {name: arrays[name] for name in ("controllers", "grips", "gravity")}
-        speeds = {f.name: arrays[f"speeds_{f.name}"] for f in fields(Speeds) if f"speeds_{f.name}" in arrays}
+        known: dict[str, Any] = {name: arrays[name] for name in ("controllers", "grips", "gravity")}
+        speeds: dict[str, Any] = {f.name: arrays[f"speeds_{f.name}"] for f in fields(Speeds) if f"speeds_{f.name}" in arrays}
         known |= dict(speeds=Speeds(**speeds) if speeds else None)
         known |= {name: state[name] for name in ("name", "radius", "fps", "timed", "contact")}
         scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)

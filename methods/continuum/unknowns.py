@@ -47,7 +47,7 @@ class Unknown:
         """``value`` in the scaled space."""
         return log(value) if self.scale == "log" else float(value)
 
-    def decode(self, scaled: float) -> float:
+    def decode(self, scaled) -> float:
         """The value at ``scaled``, never outside of the bounds by rounding."""
         return min(max(exp(scaled) if self.scale == "log" else float(scaled), self.low), self.high)
 

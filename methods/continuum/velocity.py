@@ -85,12 +85,12 @@ class Field:
         from scipy.sparse.linalg import spsolve
 
         axes, fixed, soft = self.grid.axes, self.lead.fixed, len(self.lead.held)
-        led = float(led) * self.lead.velocity @ axes.T
+        lead = float(led) * self.lead.velocity @ axes.T
         share = self.weight / self.weight.sum()
-        right = self._carry.T @ (share[:, None] * (np.asarray(wanted) @ axes.T)) + self._grip @ led[:soft]
+        right = self._carry.T @ (share[:, None] * (np.asarray(wanted) @ axes.T)) + self._grip @ lead[:soft]
         matrix = (self._told + steady * self._strains).tocsc()
         found, free = np.zeros((len(right), 3)), np.ones((len(right), 3), bool)
-        found[fixed], free[fixed] = led[soft:], False
+        found[fixed], free[fixed] = lead[soft:], False
         found, free = found.ravel(), free.ravel()
         found[free] = spsolve(matrix[free][:, free], right.ravel()[free] - matrix[free][:, ~free] @ found[~free])
         return found.reshape(-1, 3) @ axes

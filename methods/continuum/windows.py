@@ -29,4 +29,4 @@ def window(recording: Observed, first: int, last: int) -> Observed:
 def can_begin_anywhere(recording: Observed) -> np.ndarray:
     """(F,) the frames in which all of a body is seen that is known by its markers: another can only begin in frame 0."""
     markers = len(recording.surface) == 0 and (recording.grips >= 0).any()
-    return recording.visible.all(1) if markers else np.arange(recording.observed_frames) == 0
+    return np.asarray(recording.visible.all(1)) if markers else np.arange(recording.observed_frames) == 0

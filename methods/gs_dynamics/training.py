@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -66,8 +67,8 @@ def draw(clip: Clip, window, config: Config, random) -> Sample:
 
 def join(positions, tool, config: Config) -> np.ndarray:
     """(2, E) the edges of a graph, body nodes first, with ``positions`` (N, 3) m and ``tool`` (N,) bool."""
-    options = dict(radius=config.adjacency, neighbours=config.neighbours, connect_all=config.connect_all)
-    return edges(positions[~tool], positions[tool], **options)
+    body, tools = positions[~tool], positions[tool]
+    return edges(body, tools, radius=config.adjacency, neighbours=config.neighbours, connect_all=config.connect_all)
 
 
 def _turn(angle):
@@ -78,8 +79,11 @@ def _turn(angle):
 def collate(samples) -> Sample:
     """Several graphs as one."""
     starts = np.cumsum([0, *(len(s.tool) for s in samples)])
+    history, future, actions = (np.concatenate([getattr(s, name) for s in samples], axis=1) for name in ("history", "future", "actions"))
     return Sample(
-        *(np.concatenate([getattr(s, name) for s in samples], axis=1) for name in ("history", "future", "actions")),
+        history,
+        future,
+        actions,
         np.concatenate([s.tool for s in samples]),
         np.concatenate([s.pairs + start for s, start in zip(samples, starts, strict=False)], axis=1),
         np.concatenate([s.padding for s in samples]),
@@ -87,7 +91,7 @@ def collate(samples) -> Sample:
     )
 
 
-def loss(network: Network, sample: Sample, config: Config, device: str = "cpu"):
+def loss(network: Network, sample: Sample, config: Config, device: str = "cpu") -> Any:
     """Mean squared error of positions plus ``length_weight`` times that of edge lengths [m^2], summed over the steps of one roll-out.
 
     Gradients flow through all steps; the graph stays that of the first. Lengths are compared with those in the oldest step that the

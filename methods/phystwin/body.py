@@ -43,7 +43,9 @@ class Place:
     @classmethod
     def of(cls, observed: Observed) -> Place:
         """The place of a recording."""
-        ground = observed.ground and (*map(float, observed.ground.normal), float(observed.ground.offset))
+        plane = observed.ground
+        normal = None if plane is None else tuple(map(float, plane.normal))
+        ground = None if plane is None or normal is None else (normal[0], normal[1], normal[2], float(plane.offset))
         return cls(
             observed.structure,
             observed.counts,
@@ -101,7 +103,7 @@ def build(values: dict[str, float], place: Place, added: Sequence[Term] = (), *,
 def _scaled(term: Term, share: float) -> Term:
     """The term with ``share`` times its effect's amplitudes, within their bounds."""
     bounds = {p.name: (p.low, p.high) for p in term.parameters}
-    return term.with_values(**{n: float(np.clip(share * term.values[n], *bounds[n])) for n in term.effect.amplitudes})
+    return term.with_values(**{n: float(np.clip(share * term.values[n], *bounds[n])) for n in term.stands_for().amplitudes})
 
 
 def hand_springs(values: dict[str, float], place: Place) -> np.ndarray:
@@ -173,8 +175,9 @@ def time_step(systems: Sequence[System], fps: float, config: Config) -> tuple[in
     """(substeps per frame, seconds per substep)."""
     if config.quirks.long_frame:
         return PUBLISHED_SUBSTEPS, PUBLISHED_STEP
-    substeps = config.substeps
-    if substeps == "auto":
+    if isinstance(config.substeps, int):
+        substeps = config.substeps
+    else:  # "auto"
         substeps = min(stable_substeps([_made(s, fps) for s in systems], 1 / fps, safety=SAFETY), config.most_substeps)
     return substeps, 1 / fps / substeps
 

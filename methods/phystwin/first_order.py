@@ -64,7 +64,8 @@ class _Learner:
         leaves = [self.log_stiffness, *self.log_pull, *self.contact.values(), *self.log_damping.values()]
         fused = torch.device(device).type == "cuda"  # one kernel for all leaves
         self.optimiser = torch.optim.Adam(leaves, lr=config.rate, betas=(0.9, 0.99), fused=fused)
-        self._batch, self._steps = None, None
+        self._batch: Batch | None = None
+        self._steps: tuple[int, float] | None = None
 
     def _leaf(self, value):
         return torch.tensor(np.asarray(value), dtype=torch.float32, device=self.device, requires_grad=True)
@@ -105,12 +106,14 @@ class _Learner:
     def _made(self) -> Batch:
         """The recordings' batch, the same again unless what has been learned asks for other substeps."""
         fps, config = self.places[0].fps, self.config
-        if self._batch is None or not config.quirks.long_frame:
+        made = self._batch
+        if made is None or not config.quirks.long_frame:
             systems = [system(b, place, config) for b, place in zip(self.bodies(), self.places, strict=True)]
             steps = time_step(systems, fps, config)
-            if steps != self._steps:
-                self._batch, self._steps = Batch(systems, fps=fps, substeps=steps[0], dt=steps[1], device=self.device), steps
-        return self._batch
+            if made is None or steps != self._steps:
+                made = Batch(systems, fps=fps, substeps=steps[0], dt=steps[1], device=self.device)
+                self._batch, self._steps = made, steps
+        return made
 
     def _stiffness(self):
         springs = [part for pull in self.log_pull for part in (self.log_stiffness, pull)]

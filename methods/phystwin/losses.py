@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import torch
@@ -57,7 +58,7 @@ def nearest_particles(goal: torch.Tensor, particles: torch.Tensor, *, plain: boo
     ``plain`` subtracts coordinate by coordinate: torch's cdist takes a block of threads for each pair on CUDA, some forty times as long.
     No more than ``PAIRS`` distances are in memory at a time: those of 20,000 points to as many particles would be 1.6 GB a frame.
     """
-    distances = _squares if plain else partial(torch.cdist, compute_mode="donot_use_mm_for_euclid_dist")
+    distances: Callable[..., torch.Tensor] = _squares if plain else partial(torch.cdist, compute_mode="donot_use_mm_for_euclid_dist")
     each, others = goal.shape[1], particles.shape[1]
     frames, rows = (max(1, PAIRS[goal.device.type] // max(1, pairs)) for pairs in (each * others, others))
     nearest = torch.empty(goal.shape[:2], dtype=torch.int64, device=goal.device)
@@ -67,6 +68,7 @@ def nearest_particles(goal: torch.Tensor, particles: torch.Tensor, *, plain: boo
     return nearest
 
 
-def _squares(goal, particles):
+def _squares(goal: torch.Tensor, particles: torch.Tensor) -> torch.Tensor:
     """Squared distances (F, N, P) [m^2]."""
-    return sum((goal[:, :, None, k] - particles[:, None, :, k]) ** 2 for k in range(3))
+    x, y, z = ((goal[:, :, None, k] - particles[:, None, :, k]) ** 2 for k in range(3))
+    return x + y + z

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from ...datasets import safe_pickle, torch_file
-from ...datasets.collection import nearest
 from ...datasets.scenario import Observed
 from ...physics.terms import Dashpot, Ground, LinearDrag, SelfCollision
+from ...spelling import nearest
 from .body import Place, build
 from .config import AS_PUBLISHED, Config, Quirks
 from .first_order import FARTHEST, LARGEST

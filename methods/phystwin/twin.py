@@ -43,7 +43,7 @@ class PhysTwinTwin(Twin):
 
     def rollouts(self, controllers: np.ndarray) -> list[Trajectory | Diverged]:
         paths = np.asarray(controllers, float)
-        found: list[Trajectory | Diverged | None] = [None] * len(paths)
+        found: dict[int, Trajectory | Diverged] = {}
         starts, group = np.unique(paths[:, 0].reshape(len(paths), -1), axis=0, return_inverse=True)
         for k in range(len(starts)):  # springs to hands have the lengths of frame 0: where hands begin alike there is one system
             own = np.flatnonzero(group.ravel() == k)
@@ -52,7 +52,7 @@ class PhysTwinTwin(Twin):
             for row, positions, bad in zip(own, rolled.positions, rolled.diverged, strict=True):
                 blown = Diverged(f"the simulation blew up in frame {bad}", int(bad)) if bad >= 0 else None
                 found[row] = blown or Trajectory(positions.float().cpu().numpy(), self.place.counts)
-        return found
+        return [found[row] for row in range(len(paths))]
 
     def placed(self, start) -> tuple[System, tuple[int, float] | None]:
         """(the body with its hands at ``start`` (1, C, 3) m; (substeps a frame, seconds each) where stability does not choose them)."""

@@ -24,7 +24,7 @@ Where the sources leave a choice open, or a part needs what is not here:
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from ..base import Method
 from ..threads import threads_for
@@ -35,7 +35,7 @@ __all__ = ["METHODS", "SpringGaus", "SpringGausAsPublished"]
 SCALE = 0.003  # m: the published standard deviation of every Gaussian
 SEED = 123  # published, of the anchors' sample
 
-_QUICK = dict(anchors=256, epochs=5, frames=20, width=106, opacity_steps=100)
+_QUICK: dict[str, Any] = dict(anchors=256, epochs=5, frames=20, width=106, opacity_steps=100)
 
 
 class SpringGaus(Method):

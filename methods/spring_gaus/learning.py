@@ -46,7 +46,7 @@ class Reach:
         return torch.linalg.vector_norm(x - x.median(0).values, dim=1).max()
 
 
-def material(anchors: int, *, device="cpu", dtype=torch.float32) -> Material:
+def material(anchors: int, *, device: str | torch.device = "cpu", dtype=torch.float32) -> Material:
     """The material before learning."""
 
     def filled(shape, value):

@@ -35,8 +35,8 @@ class Silhouettes:
     def target(self, frame: int, view: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Mask and pixels that count (H, W), in [0, 1], as small as the views."""
         where = self.views[view].centre
-        small = [torch.as_tensor(_averaged(images[view][frame], self.shrink)) for images in (self.masks, self.kept)]
-        return tuple(image.to(where.device, where.dtype) for image in small)
+        mask, kept = (torch.as_tensor(_averaged(images[view][frame], self.shrink)) for images in (self.masks, self.kept))
+        return mask.to(where.device, where.dtype), kept.to(where.device, where.dtype)
 
 
 def missing(observed: Observed) -> str | None:

@@ -44,7 +44,7 @@ class View:
             pose[:3, :3],
             pose[:3, 3],
             (float(k[0, 0]) / shrink, float(k[1, 1]) / shrink),
-            tuple((float(p) + 0.5) / shrink - 0.5 for p in principal),
+            ((float(principal[0]) + 0.5) / shrink - 0.5, (float(principal[1]) + 0.5) / shrink - 0.5),
             camera.width // shrink,
             camera.height // shrink,
         )

@@ -3,20 +3,20 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .places import near
+from .stages import SetupTerm
 
 __all__ = ["AddedMass"]
 
 
-class AddedMass(Term):
+class AddedMass(SetupTerm):
     """m_i <- m_i (1 + a M s_i / sum_j m_j s_j), s_i = exp(-|home_i - c|^2 / (2 r^2)): in all, a times the body's mass M is added.
 
     Weight grows with it (gravity is an acceleration); springs and what drags by the surface stay as they are.
     """
 
     name = "added_mass"
-    stage = "setup"
     parameters = (
         Parameter("added_mass", 0.0, 0.0, 10.0, "of the body's mass", "mass that is added in all"),
         *near("added_mass", "added_mass_within"),

@@ -3,15 +3,16 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .shapes import tied
+from .stages import SetupTerm
 
 __all__ = ["Anisotropy"]
 
 PAIRS = ("xx", "yy", "xy", "yz", "xz")
 
 
-class Anisotropy(Term):
+class Anisotropy(SetupTerm):
     """Y <- Y exp(d . A d), d the spring's direction in frame 0, A symmetric and traceless, in the axes of the world.
 
     The lowest even harmonic of direction, as in the orientation tensors of fibre composites (Advani and Tucker); five numbers, as
@@ -20,7 +21,6 @@ class Anisotropy(Term):
     """
 
     name = "anisotropy"
-    stage = "setup"
     parameters = tuple(Parameter(f"anisotropy_{pair}", 0.0, -3.0, 3.0, "-", f"{pair} of the log-stiffness tensor") for pair in PAIRS)
     effect = Effect(
         "anisotropy",

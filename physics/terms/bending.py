@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import HingeTerm
 
 __all__ = ["Bending"]
 
@@ -16,14 +17,13 @@ def moment(kappa: Any, rate: Any, natural: Any, span: Any, p: Any, o: int):
     return type(kappa)(bent[0], bent[1], type(span)(0.0))
 
 
-class Bending(Term):
+class Bending(HingeTerm):
     """M = B (kappa - s kappa_0) / l about both material axes: B is the flexural rigidity E I, kappa_0 the hinge's natural curvature.
 
     Bergou et al., "Discrete elastic rods", 2008, equation 2 for an isotropic section.
     """
 
     name = "bending"
-    stage = "hinge"
     parameters = (
         Parameter("bending_stiffness", 0.0, 0.0, 100.0, "N m^2", "flexural rigidity E I; of a sheet, of the strip that a hinge stands for"),
         Parameter("natural_share", 1.0, 0.0, 2.0, "-", "how much of the given natural curvature the body wants"),

@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import HingeTerm
 
 __all__ = ["BendingDamping"]
 
@@ -16,11 +17,10 @@ def moment(kappa: Any, rate: Any, natural: Any, span: Any, p: Any, o: int):
     return type(kappa)(resisted[0], resisted[1], type(span)(0.0))
 
 
-class BendingDamping(Term):
+class BendingDamping(HingeTerm):
     """M = eta (d kappa / dt) / l about both material axes (Kelvin and Voigt's solid in bending)."""
 
     name = "bending_damping"
-    stage = "hinge"
     parameters = (Parameter("bending_damping", 0.0, 0.0, 10.0, "N m^2 s", "moment per rate of curvature"),)
     law = moment
     effect = Effect(

@@ -4,21 +4,20 @@ from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import SetupTerm
 
 __all__ = ["Braces"]
 
 _SKIPS = WeakKeyDictionary()
 
 
-class Braces(Term):
+class Braces(SetupTerm):
     """Y <- b Y for springs between nodes that do not follow each other in a chain; bodies without chains stay as they are.
 
     A spring-mass twin of a rope has no other stiffness against bending: a per-spring fit finds this share. 0 leaves a chain of links.
     """
 
     name = "braces"
-    stage = "setup"
     parameters = (Parameter("brace_share", 1.0, 0.0, 10.0, "-", "stiffness of springs that skip nodes of a rope, over that of its links"),)
 
     @staticmethod

@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import AxialTerm
 
 __all__ = ["CompressionSoftening"]
 
@@ -19,14 +20,13 @@ def slacken(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any, o: int):
     return -stiffness * p[o] * strain * compressed
 
 
-class CompressionSoftening(Term):
+class CompressionSoftening(AxialTerm):
     """F = -a Y e S(-e / w) beside the spring's own Y e, S the logistic function: takes the share a of compressive tension away.
 
     The modulus is (1 - a) Y in compression and Y in tension, as of a bimodular material (Ambartsumyan), joined smoothly over strains of w.
     """
 
     name = "compression_softening"
-    stage = "axial"
     parameters = (
         Parameter("compression_softening", 0.0, 0.0, 1.0, "-", "share of its stiffness that a spring loses in compression"),
         Parameter("compression_width", 0.01, 1e-3, 0.2, "-", "strain over which tension passes into compression", "log"),

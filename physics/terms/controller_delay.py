@@ -3,19 +3,19 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import SetupTerm
 
 __all__ = ["ControllerDelay"]
 
 
-class ControllerDelay(Term):
+class ControllerDelay(SetupTerm):
     """path(t) <- path(t - tau), linear between frames; before the first frame and after the last the controllers hold still.
 
     tau > 0: the body feels its controllers later than they are listed. A frame lasts as long as its substeps.
     """
 
     name = "controller_delay"
-    stage = "setup"
     parameters = (Parameter("controller_delay", 0.0, -0.1, 0.2, "s", "how much later the body feels the controllers than they are listed"),)
     effect = Effect(
         "controller_delay",

@@ -1,12 +1,12 @@
 """Springs that tie the body to controllers (hand points)."""
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import LinksTerm
 
 __all__ = ["ControllerSprings"]
 
 
-class ControllerSprings(Term):
+class ControllerSprings(LinksTerm):
     """The system's springs whose first end is a controller; without this term they are left out.
 
     They obey the same axial laws as the body's own. PhysTwin's code leaves controller velocities at zero in the dashpot, so that its
@@ -14,5 +14,4 @@ class ControllerSprings(Term):
     """
 
     name = "controller_springs"
-    stage = "links"
     parameters = (Parameter("controller_velocity", 1.0, 0.0, 1.0, "-", "share of the controllers' velocity that dashpots feel"),)

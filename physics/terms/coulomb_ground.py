@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import TouchTerm
 
 __all__ = ["CoulombGround"]
 
@@ -43,7 +43,7 @@ def stretch(x: Any, v: Any, m: Any, q: Any, dt: Any, p: Any, o: int):
     return capped(after, p[o] * push / (m * p[o + 1] * p[o + 1]))
 
 
-class CoulombGround(Term):
+class CoulombGround(TouchTerm):
     """N = m w (w d - 2 z v_n) > 0 at depth d, and T = -m w (w q + 2 z v_t), |T| <= mu N, of the tangential stretch q since the point stuck.
 
     q grows with the tangential motion and is never longer than mu N / (m w^2), so that a point sticks where it lies, without creep, until
@@ -53,7 +53,6 @@ class CoulombGround(Term):
     """
 
     name = "coulomb_ground"
-    stage = "touch"
     parameters = (
         Parameter("coulomb_friction", 0.4, 0.0, 3.0, "-", "Coulomb friction mu"),
         Parameter("coulomb_rate", 300.0, 10.0, 3000.0, "1/s", "angular frequency w of a point's mass on the plane"),

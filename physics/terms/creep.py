@@ -6,7 +6,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..relaxation import settled
-from .base import Effect, Term
+from .base import Effect
+from .stages import StrandTerm
 
 __all__ = ["Creep"]
 
@@ -21,7 +22,7 @@ def flow(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: A
     return q + (length / rest - type(length)(1.0) - q) * settled(p[o] * dt)
 
 
-class Creep(Term):
+class Creep(StrandTerm):
     """F = -Y q beside the elastic Y e, e = l / L0 - 1: q is the strain that has crept, q' = r (e - q).
 
     Maxwell's fluid: under a constant load strain grows steadily, held still the force falls as exp(-r t), and there is no threshold.
@@ -29,7 +30,6 @@ class Creep(Term):
     """
 
     name = "creep"
-    stage = "strand"
     parameters = (
         Parameter("creep_rate", 0.0, 0.0, 20.0, "1/s", "share of its elastic strain that a spring turns into rest length in a second"),
     )

@@ -8,7 +8,8 @@ import warp as wp
 from ..parameters import Parameter
 from ..relaxation import settled
 from ..strains import hooke, hooke_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import BranchTerm
 
 __all__ = ["DahlFriction"]
 
@@ -28,7 +29,7 @@ def rub(stress: Any, deformed: Any, rate: Any, home: Any, mu: Any, lame: Any, q:
     return q + (moving * (type(mu)(1.0) / pace) - q) * settled(pace * dt / p[o + 1])
 
 
-class DahlFriction(Term):
+class DahlFriction(BranchTerm):
     """P = a F (C : z), z' = (E' - |E'| z) / e_h, with the Green strain E and the elasticity's own moduli C: Dahl's solid friction.
 
     z goes to the direction of E', of size 1, over strains of e_h, whatever the rate: a closed cycle of strain takes the same work at every
@@ -37,7 +38,6 @@ class DahlFriction(Term):
     """
 
     name = "dahl_friction"
-    stage = "branch"
     parameters = (
         Parameter("dahl_friction", 0.0, 0.0, 1.0, "-", "largest friction, as strain at the elasticity's stiffness"),
         Parameter("dahl_strain", 0.02, 1e-3, 0.5, "-", "strain over which friction turns round", scale="log"),

@@ -8,8 +8,9 @@ import warp as wp
 from ..parameters import Parameter
 from ..relaxation import settled
 from ..strains import deviator, deviator_twin, green, green_twin, poisson, poisson_twin
-from .base import Effect, Term
+from .base import Effect
 from .places import bell, bell_twin, near
+from .stages import BranchTerm
 
 __all__ = ["Damage"]
 
@@ -38,7 +39,7 @@ def tear(stress: Any, deformed: Any, rate: Any, home: Any, mu: Any, lame: Any, q
     return wp.diag(type(home)(torn, none, none))
 
 
-class Damage(Term):
+class Damage(BranchTerm):
     """P = (1 - 0.95 d) P_0 of the elasticity's own stress P_0, d' = r w (1 - d) max(0, e - e_c) / e_c, d in [0, 1].
 
     w = exp(-D^2 / 2 R^2) of the distance D from the place in frame 0. e is the modified von Mises strain of de Vree, Brekelmans and van
@@ -47,7 +48,6 @@ class Damage(Term):
     """
 
     name = "damage"
-    stage = "branch"
     parameters = (
         Parameter("damage_rate", 0.0, 0.0, 1000.0, "1/s", "rate of damage at twice the tear strain"),
         Parameter("damage_strain", 0.1, 0.002, 2.0, "-", "strain at which tearing begins", scale="log"),

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import AxialTerm
 
 __all__ = ["Dashpot"]
 
@@ -15,11 +15,10 @@ def damping(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any, o: int):
     return p[o] * rate
 
 
-class Dashpot(Term):
+class Dashpot(AxialTerm):
     """F = c dl/dt along each spring."""
 
     name = "dashpot"
-    stage = "axial"
     parameters = (Parameter("dashpot_damping", 100.0, 0.0, 200.0, "N s/m", "damping of the rate of stretch of every spring"),)
     law = damping
 

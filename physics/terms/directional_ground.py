@@ -5,8 +5,9 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .ground import Ground, plane, rebound, touch
+from .stages import MoveTerm
 
 __all__ = ["DirectionalGround"]
 
@@ -36,7 +37,7 @@ def graze(x: Any, v: Any, dt: Any, p: Any, o: int):
     return rebound(x, v, dt, n, height, elasticity, wp.max(friction + more, type(dt)(0.0)))
 
 
-class DirectionalGround(Term):
+class DirectionalGround(MoveTerm):
     """The ground's impulses with mu + a cos 2 phi + b sin 2 phi, phi the direction of the slip in the plane, from the x axis on.
 
     The excess is sqrt(a^2 + b^2) along half of the angle of (a, b), and as much less across it; friction still points against the slip.
@@ -44,7 +45,6 @@ class DirectionalGround(Term):
     """
 
     name = "directional_ground"
-    stage = "move"
     parameters = (
         *Ground.parameters,
         Parameter("friction_along", 0.0, -1.0, 1.0, "-", "friction above the mean along the x axis, and below it across"),
@@ -82,4 +82,6 @@ class DirectionalGround(Term):
         first /= np.linalg.norm(first)
         a, b = v @ first, v @ np.cross(n, first)
         more = (friction_along * (a * a - b * b) + friction_diagonal * 2 * a * b) / max(a * a + b * b, 1e-12)
-        return Ground.twin(x, v, dt, collide_elas, max(collide_fric + more, 0.0), *n, ground_offset)
+        friction = max(collide_fric + more, 0.0)
+        plane = ground_normal_x, ground_normal_y, ground_normal_z, ground_offset
+        return Ground.twin(x, v, dt, collide_elas, friction, *plane)

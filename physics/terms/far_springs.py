@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import SetupTerm
 
 __all__ = ["FarSprings"]
 
 
-class FarSprings(Term):
+class FarSprings(SetupTerm):
     """Y_s <- share * Y_s for springs of the body whose rest length exceeds ``far_reach``.
 
     A spring-mass twin bends against the springs that skip its next neighbours: a fit of every spring's stiffness finds their share, and so
@@ -16,7 +16,6 @@ class FarSprings(Term):
     """
 
     name = "far_springs"
-    stage = "setup"
     parameters = (
         Parameter("far_share", 1.0, 0.0, 10.0, "-", "stiffness of the springs that skip neighbours, over that of the others"),
         Parameter("far_reach", 10.0, 1e-4, 10.0, "m", "rest length beyond which a spring skips neighbours", "log"),

@@ -7,7 +7,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..strains import young, young_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import MaterialTerm
 
 __all__ = ["Fibres"]
 
@@ -26,7 +27,7 @@ def stress(deformed: Any, home: Any, mu: Any, lame: Any, p: Any, o: int):
     return wp.outer(fibre, along) * (half * p[o] * young(mu, lame) * taut)
 
 
-class Fibres(Term):
+class Fibres(MaterialTerm):
     """P = a Y / 2 h(I_4 - 1) F n n', I_4 = |F n|^2, h(x) = x in tension and c x in compression, joined smoothly over x of 0.01.
 
     The standard reinforcing model, W = k (I_4 - 1)^2 / 2 with k = a Y / 4 (Merodio and Ogden 2005): at small strains a fibre adds a Y to
@@ -34,7 +35,6 @@ class Fibres(Term):
     """
 
     name = "fibres"
-    stage = "material"
     parameters = (
         Parameter("fibre_share", 0.0, 0.0, 50.0, "-", "stiffness of the fibres as a share of the elasticity's"),
         Parameter("fibre_azimuth", 0.0, -np.pi, np.pi, "rad", "their direction, from the grid's first axis to its second"),

@@ -7,7 +7,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..strains import green, green_twin, hooke, hooke_twin, young, young_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import MaterialTerm
 
 __all__ = ["Fung"]
 
@@ -22,7 +23,7 @@ def stress(deformed: Any, home: Any, mu: Any, lame: Any, p: Any, o: int):
     return deformed * (linear * (p[o] * (wp.exp(exponent) - type(mu)(1.0))))
 
 
-class Fung(Term):
+class Fung(MaterialTerm):
     """P = a F (C : E) (exp(Q) - 1), Q = b E : C : E / Y, of the energy W = a Y (exp(Q) - 1 - Q) / 2 b, with the Green strain E.
 
     Fung's exponential law ("Biomechanics", 1993, section 7.5) less its linear part, so that nothing is added at small strains. In a bar
@@ -30,7 +31,6 @@ class Fung(Term):
     """
 
     name = "fung"
-    stage = "material"
     parameters = (
         Parameter("fung_share", 0.0, 0.0, 100.0, "-", "stiffness of the exponential part as a share of the elasticity's"),
         Parameter("fung_exponent", 10.0, 0.1, 200.0, "-", "b: how soon it stiffens", scale="log"),

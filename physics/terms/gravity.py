@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import BodyTerm
 
 __all__ = ["Gravity"]
 
@@ -19,11 +19,10 @@ def weight(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     return g * m
 
 
-class Gravity(Term):
+class Gravity(BodyTerm):
     """F = m g. The vector is the recording's own: PhysTwin's world has +z into the table, so (0, 0, 9.8)."""
 
     name = "gravity"
-    stage = "body"
     parameters = tuple(
         Parameter(f"gravity_{axis}", value, -20.0, 20.0, "m/s^2", f"gravitational acceleration along {axis}")
         for axis, value in (("x", 0.0), ("y", 0.0), ("z", 9.8))

@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import BodyTerm
 
 __all__ = ["GravityTilt"]
 
@@ -35,14 +36,13 @@ def lean(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     return t * m
 
 
-class GravityTilt(Term):
+class GravityTilt(BodyTerm):
     """F = m (g' - g) of a gravity g' as strong as the told g: across g it has the acceleration t, along it sqrt(g^2 - t^2).
 
     What t has along g means nothing. Where no gravity is told, F = m t.
     """
 
     name = "gravity_tilt"
-    stage = "body"
     parameters = (
         *(Parameter(f"tilt_{axis}", 0.0, -20.0, 20.0, "m/s^2", f"gravity across the one that is told, along {axis}") for axis in "xyz"),
         *(Parameter(f"told_gravity_{axis}", 0.0, -30.0, 30.0, "m/s^2", f"gravity as it is told, along {axis}") for axis in "xyz"),

@@ -3,17 +3,17 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .shapes import tied
+from .stages import SetupTerm
 
 __all__ = ["GripCompliance"]
 
 
-class GripCompliance(Term):
+class GripCompliance(SetupTerm):
     """Y <- Y exp(-c) for the springs that tie controllers: fingers and flesh give way, and come back when the load goes."""
 
     name = "grip_compliance"
-    stage = "setup"
     parameters = (Parameter("grip_compliance", 0.0, 0.0, 10.0, "-", "logarithm of how much softer the controllers' springs are"),)
     effect = Effect(
         "grip_compliance",

@@ -3,15 +3,16 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .shapes import tied
+from .stages import SetupTerm
 
 __all__ = ["GripPoints"]
 
 LEAST = 1e-3  # m: a controller's spring does not get shorter than this
 
 
-class GripPoints(Term):
+class GripPoints(SetupTerm):
     """L <- L |c + s - x| / |c - x| for the springs that tie controllers, c and x their ends in frame 0: as if the hand had been at c + s.
 
     The hand then is not where its springs were made, and holds the body by -s from there. Controllers that carry a particle rigidly have no
@@ -19,7 +20,6 @@ class GripPoints(Term):
     """
 
     name = "grip_points"
-    stage = "setup"
     parameters = tuple(
         Parameter(f"grip_shift_{axis}", 0.0, -0.1, 0.1, "m", f"how far off the hand was in frame 0, {axis}") for axis in "xyz"
     )

@@ -6,7 +6,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..relaxation import settled
-from .base import Effect, Term
+from .base import Effect
+from .stages import StrandTerm
 
 __all__ = ["GripSlip"]
 
@@ -25,14 +26,13 @@ def slip(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: A
     return q + link * beyond * settled(p[o] * dt)
 
 
-class GripSlip(Term):
+class GripSlip(StrandTerm):
     """F = -Y q on springs that tie a controller, q' = r max(0, (e - q) - F_s / Y), e = l / L0 - 1: they creep longer above F_s and stay so.
 
     Bingham's slider with a viscous rate; q' is integrated exactly while e holds still. The body's own springs and grips are left alone.
     """
 
     name = "grip_slip"
-    stage = "strand"
     parameters = (
         Parameter("slip_rate", 0.0, 0.0, 200.0, "1/s", "rate at which tension beyond the threshold is given way to"),
         Parameter("slip_force", 1.0, 0.01, 1e4, "N", "tension of one spring to the hand at which it begins to slip", scale="log"),

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import MoveTerm
 
 __all__ = ["Ground", "plane", "rebound", "touch"]
 
@@ -51,7 +51,7 @@ def bounce(x: Any, v: Any, dt: Any, p: Any, o: int):
     return rebound(x, v, dt, n, height, elasticity, friction)
 
 
-class Ground(Term):
+class Ground(MoveTerm):
     """Restitution and Coulomb friction as impulses: v_n -> -e v_n, v_t -> max(0, 1 - mu (1+e) |v_n| / |v_t|) v_t (PhysTwin's code).
 
     The impact happens at t* = -h / v_n within the substep; a particle that already is below the plane has t* < 0 and is pulled back
@@ -59,7 +59,6 @@ class Ground(Term):
     """
 
     name = "ground"
-    stage = "move"
     parameters = (
         Parameter("collide_elas", 0.5, 0.0, 1.0, "-", "restitution of the ground"),
         Parameter("collide_fric", 0.3, 0.0, 2.0, "-", "Coulomb friction of the ground"),

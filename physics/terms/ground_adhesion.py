@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import BodyTerm
 
 __all__ = ["GroundAdhesion"]
 
@@ -21,7 +22,7 @@ def stick(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     return n * (-m * p[o] * near * near)
 
 
-class GroundAdhesion(Term):
+class GroundAdhesion(BodyTerm):
     """F = -m a (1 - h^2 / r^2)^2 n for |h| < r, h = n . x - offset: a pull towards a plane that fades out smoothly within a reach.
 
     It takes a force of m a to lift a particle, and the work 8 m a r / 15. Below the plane it fades as well, so that what has sunk in can
@@ -29,7 +30,6 @@ class GroundAdhesion(Term):
     """
 
     name = "ground_adhesion"
-    stage = "body"
     parameters = (
         Parameter("ground_adhesion", 0.0, 0.0, 100.0, "m/s^2", "pull per mass on a particle that lies on the ground"),
         Parameter("adhesion_reach", 0.01, 1e-3, 0.5, "m", "height at which the pull has vanished", "log"),

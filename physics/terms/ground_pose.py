@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .shapes import shape_of
+from .stages import SetupTerm
 
 __all__ = ["GroundPose"]
 
 
-class GroundPose(Term):
+class GroundPose(SetupTerm):
     """Moves the planes of the ground terms: n <- n cos a cos b + t_1 sin a + t_2 cos a sin b, and up by h along the new normal.
 
     t_1 is the world axis least along n, made orthogonal to it, and t_2 = n x t_1; the plane turns about the point below the body's
@@ -17,7 +18,6 @@ class GroundPose(Term):
     """
 
     name = "ground_pose"
-    stage = "setup"
     parameters = (
         Parameter("ground_raise", 0.0, -0.3, 0.3, "m", "height of the ground above where the recording has it"),
         Parameter("ground_tilt_a", 0.0, -0.7, 0.7, "rad", "tilt of the normal towards the first tangent"),

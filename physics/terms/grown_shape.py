@@ -6,7 +6,8 @@ import numpy as np
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import GrowthTerm
 
 __all__ = ["GrownShape"]
 
@@ -18,7 +19,7 @@ def growth(at: Any, p: Any, o: int):
     return wp.diag(type(at)(grown, grown, grown))
 
 
-class GrownShape(Term):
+class GrownShape(GrowthTerm):
     """G = exp(s + g . u) 1: a body wants to be larger by G than it was in frame 0, or smaller.
 
     u is the place in the body, from its middle in rms radii, along the grid's axes. s is a uniform swelling, and g one that grows across
@@ -26,7 +27,6 @@ class GrownShape(Term):
     """
 
     name = "grown_shape"
-    stage = "growth"
     parameters = (
         Parameter("growth", 0.0, -0.5, 0.5, "-", "log-strain by which the rest shape exceeds that of frame 0"),
         *(Parameter(f"growth_{axis}", 0.0, -0.5, 0.5, "-", f"its growth over one radius of the body along axis {axis}") for axis in "abc"),

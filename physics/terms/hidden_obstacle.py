@@ -5,8 +5,9 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .places import coordinates
+from .stages import BodyTerm
 
 __all__ = ["HiddenObstacle"]
 
@@ -34,7 +35,7 @@ def fend(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     return (n - slip * drag) * push
 
 
-class HiddenObstacle(Term):
+class HiddenObstacle(BodyTerm):
     """A sphere that pushes out what is inside: F = P (n - mu v_t / sqrt(|v_t|^2 + v_c^2)), P = m k d^2 / (d + s) max(0, 1 - v_n / v_r).
 
     d is the depth, n the outward normal, v_n and v_t the velocity along it and across. The damping is Hunt and Crossley's: in proportion to
@@ -42,7 +43,6 @@ class HiddenObstacle(Term):
     """
 
     name = "hidden_obstacle"
-    stage = "body"
     parameters = (
         Parameter("hidden_obstacle", 0.0, 0.0, 20000.0, "1/s^2", "push per mass and metre of depth"),
         Parameter("obstacle_radius", 0.05, 0.005, 1.0, "m", "radius of the sphere", "log"),

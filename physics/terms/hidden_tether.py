@@ -5,8 +5,9 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .places import bell, bell_twin, coordinates, near
+from .stages import BodyTerm
 
 __all__ = ["HiddenTether"]
 
@@ -23,14 +24,13 @@ def tug(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     return way * (m * p[o] * taut * bell(home, p, o + 1))
 
 
-class HiddenTether(Term):
+class HiddenTether(BodyTerm):
     """F = m k w (1 - L / |y - x|) (y - x) where |y - x| > L, else 0: elastic cords of length L from a patch to an anchor y.
 
     w = exp(-|home - c|^2 / (2 r^2)) is the share that a particle has in the patch.
     """
 
     name = "hidden_tether"
-    stage = "body"
     parameters = (
         Parameter("hidden_tether", 0.0, 0.0, 10000.0, "1/s^2", "pull per mass and metre in the middle of the patch"),
         *near("tether", "tether_within"),

@@ -7,7 +7,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..strains import young, young_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import MaterialTerm
 
 __all__ = ["Inflation"]
 
@@ -18,7 +19,7 @@ def stress(deformed: Any, home: Any, mu: Any, lame: Any, p: Any, o: int):
     return wp.transpose(wp.inverse(deformed)) * (p[o] * young(mu, lame) * (swell - p[o + 1]))
 
 
-class Inflation(Term):
+class Inflation(MaterialTerm):
     """P = -p J F^-T with the pressure p = k (f / J - 1) over that outside, k = a Y: Boyle's law, of the energy W = k (J - f ln J).
 
     f is the room that the filling wants, over what it had in frame 0: 1 where it only resists, more in a body that was blown up. Closed
@@ -26,7 +27,6 @@ class Inflation(Term):
     """
 
     name = "inflation"
-    stage = "material"
     parameters = (
         Parameter("inflation", 0.0, 0.0, 50.0, "-", "pressure at twice the filling over Young's modulus"),
         Parameter("inflation_fill", 1.0, 0.5, 2.0, "-", "room that the filling wants, over what it has in frame 0"),

@@ -6,7 +6,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..relaxation import settled
-from .base import Effect, Term
+from .base import Effect
+from .stages import StrandTerm
 
 __all__ = ["InternalFriction"]
 
@@ -21,7 +22,7 @@ def rub(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: An
     return q + (wp.sign(rate) - q) * settled(wp.abs(rate) * dt / (rest * p[o + 1]))
 
 
-class InternalFriction(Term):
+class InternalFriction(StrandTerm):
     """F = a Y z, z' = e' / e_h (1 - z sgn e'), e = l / L0 - 1: Dahl's solid friction, of which a Y is the most.
 
     z goes to +-1 over strains of e_h, whatever the rate: a closed cycle of strain takes the same work at every speed. Cloth has it (Miguel
@@ -29,7 +30,6 @@ class InternalFriction(Term):
     """
 
     name = "internal_friction"
-    stage = "strand"
     parameters = (
         Parameter("internal_friction", 0.0, 0.0, 1.0, "-", "largest friction of a spring, as strain at its stiffness"),
         Parameter("friction_strain", 0.01, 1e-3, 0.3, "-", "strain over which friction turns round", scale="log"),

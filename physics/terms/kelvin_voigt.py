@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import ViscousTerm
 
 __all__ = ["KelvinVoigt"]
 
@@ -19,14 +19,13 @@ def stress(rate: Any, p: Any, o: int):
     return rate * (two * mu) + wp.identity(n=3, dtype=type(p[o])) * (lame * wp.trace(rate))
 
 
-class KelvinVoigt(Term):
+class KelvinVoigt(ViscousTerm):
     """S = lambda tr(E') 1 + 2 mu E' with the rate E' of the Green strain: an elastic law's damping time is eta / Young's modulus.
 
     mu and lambda are Lame's constants of eta in the place of Young's modulus. Rigid motions are not damped.
     """
 
     name = "kelvin_voigt"
-    stage = "viscous"
     parameters = (
         Parameter("viscosity", 0.0, 0.0, 1e6, "Pa s", "eta: stress per rate of a stretch, E times the damping time"),
         Parameter("viscous_poisson", 0.3, 0.0, 0.49, "-", "how a stretched bar damps across, as Poisson's ratio"),

@@ -6,7 +6,7 @@ import numpy as np
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import LayerTerm
 
 __all__ = ["LayerContact"]
 
@@ -31,7 +31,7 @@ def keep_apart(apart: Any, rate: Any, m: Any, p: Any, o: int):
     return n * push + drag * wp.min(one, p[o + 3] * push / wp.max(wp.length(drag), type(m)(1.0e-12)))
 
 
-class LayerContact(Term):
+class LayerContact(LayerTerm):
     """N = m w (w (h - d) h / d - 2 z v_n) > 0 at a distance d well below the thickness h, and T = -2 m w z v_t, |T| <= mu N.
 
     m is a share of a node's mass such that a node between two layers of as fine a mesh feels w (``physics.layers``). Friction is that of
@@ -39,7 +39,6 @@ class LayerContact(Term):
     """
 
     name = "layer_contact"
-    stage = "layer"
     parameters = (
         Parameter("layer_thickness", 0.003, 0.0, 0.1, "m", "distance h of the middles of layers or strands that touch"),
         Parameter("layer_rate", 600.0, 1.0, 1e5, "1/s", "angular frequency w of a node between layers", "log"),

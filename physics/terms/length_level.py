@@ -3,12 +3,12 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import SetupTerm
 
 __all__ = ["LengthLevel"]
 
 
-class LengthLevel(Term):
+class LengthLevel(SetupTerm):
     """l0_s <- (1 + a) l0_s for the body's own springs, not for those that tie controllers.
 
     Straight springs between sparse noisy nodes cut corners: the sag of a taut rope grows with the square root of what they are short of.
@@ -16,7 +16,6 @@ class LengthLevel(Term):
     """
 
     name = "length_level"
-    stage = "setup"
     parameters = (Parameter("length_level", 0.0, -0.3, 0.3, "-", "by which share the body's springs are longer than drawn"),)
 
     @staticmethod

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import VelocityTerm
 
 __all__ = ["LinearDrag"]
 
@@ -15,11 +15,10 @@ def slow(v: Any, dt: Any, p: Any, o: int):
     return v * wp.exp(-dt * p[o])
 
 
-class LinearDrag(Term):
+class LinearDrag(VelocityTerm):
     """v <- v exp(-dt c): exact for dv/dt = -c v, applied after the forces (PhysTwin's code)."""
 
     name = "linear_drag"
-    stage = "velocity"
     parameters = (Parameter("drag_damping", 3.0, 0.0, 20.0, "1/s", "rate at which velocities decay in still air"),)
     law = slow
 

@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Term
 from .shapes import shape_of
+from .stages import SetupTerm
 
 __all__ = ["MassField"]
 
 MODES = ("slope_a", "slope_b", "slope_c", "bow_a", "bow_b")
 
 
-class MassField(Term):
+class MassField(SetupTerm):
     """m <- m exp(sum_k a_k f_k(u)), f = (u_1, u_2, u_3, (u_1^2 - 1) / 2, (u_2^2 - 1) / 2), and then scaled so that the total stays.
 
     u is where a particle was in frame 0: from the body's middle, along its principal axes, in rms extents. What a cloud of surface points
@@ -19,7 +19,6 @@ class MassField(Term):
     """
 
     name = "mass_field"
-    stage = "setup"
     parameters = tuple(Parameter(f"mass_{mode}", 0.0, -1.5, 1.5, "-", f"{mode.replace('_', ' ')} of the log-mass") for mode in MODES)
 
     @staticmethod

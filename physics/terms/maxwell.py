@@ -8,7 +8,8 @@ import warp as wp
 from ..parameters import Parameter
 from ..relaxation import settled
 from ..strains import green, green_twin, hooke, hooke_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import BranchTerm
 
 __all__ = ["Maxwell"]
 
@@ -23,7 +24,7 @@ def relax(stress: Any, deformed: Any, rate: Any, home: Any, mu: Any, lame: Any, 
     return q + (green(deformed) - q) * settled(dt / p[o + 1])
 
 
-class Maxwell(Term):
+class Maxwell(BranchTerm):
     """P = a F (C : (E - q)), q' = (E - q) / tau, with the Green strain E and the elasticity's own moduli C: Zener's solid.
 
     Finite linear viscoelasticity in the cheap form for moderate strains, in which the branch is linear in E (Simo and Hughes,
@@ -31,7 +32,6 @@ class Maxwell(Term):
     """
 
     name = "maxwell"
-    stage = "branch"
     parameters = (
         Parameter("maxwell_share", 0.0, 0.0, 20.0, "-", "stiffness of the Maxwell branch as a share of the elasticity's"),
         Parameter("maxwell_time", 0.1, 0.005, 10.0, "s", "time in which the branch's stress falls to 1/e", scale="log"),

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import MembraneTerm
 
 __all__ = ["Membrane", "in_plane", "in_plane_twin"]
 
@@ -32,14 +32,13 @@ def in_plane_twin(strain, stiffness, poisson):
     return stiffness / (1 - poisson**2) * np.stack([a + poisson * b, b + poisson * a, (1 - poisson) * shear], -1)
 
 
-class Membrane(Term):
+class Membrane(MembraneTerm):
     """S = E h / (1 - nu^2) ((1 - nu) e + nu tr(e) 1), e Green's strain in the plane: St. Venant and Kirchhoff's law in plane stress.
 
     E is Young's modulus, h the thickness. A strip under tension T per width is longer by T / (E h) at small strains.
     """
 
     name = "membrane"
-    stage = "membrane"
     parameters = (
         Parameter("membrane_stiffness", 300.0, 1.0, 1e6, "N/m", "Young's modulus times thickness, E h", scale="log"),
         Parameter("membrane_poisson", 0.3, 0.0, 0.9, "-", "Poisson's ratio nu in the plane"),

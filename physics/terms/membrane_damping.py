@@ -5,8 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
 from .membrane import in_plane, in_plane_twin
+from .stages import MembraneTerm
 
 __all__ = ["MembraneDamping"]
 
@@ -16,14 +16,13 @@ def resist(strain: Any, rate: Any, p: Any, o: int):
     return in_plane(rate, p[o], p[o + 1])
 
 
-class MembraneDamping(Term):
+class MembraneDamping(MembraneTerm):
     """S = eta h / (1 - nu^2) ((1 - nu) e' + nu tr(e') 1), e' the rate of Green's strain (Kelvin and Voigt).
 
     A membrane's damping time is eta h / (E h). Rigid motions are not damped.
     """
 
     name = "membrane_damping"
-    stage = "membrane"
     parameters = (
         Parameter("membrane_viscosity", 0.0, 0.0, 1e3, "N s/m", "stress resultant per rate of a strip's stretch, E h times a damping time"),
         Parameter("membrane_viscous_poisson", 0.3, 0.0, 0.9, "-", "how a stretched strip damps across, as Poisson's ratio"),

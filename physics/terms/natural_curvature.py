@@ -4,7 +4,7 @@ from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import SetupTerm
 
 __all__ = ["ENDS", "MODES", "NaturalCurvature"]
 
@@ -16,7 +16,7 @@ _BENT = tuple(f"{axis}_{end}" for axis in "ab" for end in ENDS)
 _PLACES = WeakKeyDictionary()
 
 
-class NaturalCurvature(Term):
+class NaturalCurvature(SetupTerm):
     """kappa_0 <- n kappa_0 + l sum_k (a_k, b_k) P_k(u) at hinges along chains: natural curvature per length in Legendre modes.
 
     u runs from -1 to 1 along the rope's arc and l is the hinge's span. The first and the last hinge of a chain have further angles of their
@@ -26,7 +26,6 @@ class NaturalCurvature(Term):
     """
 
     name = "natural_curvature"
-    stage = "setup"
     parameters = (
         Parameter("natural_kept", 1.0, 0.0, 2.0, "-", "share of the natural curvature that the body was given"),
         *(

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import SolidTerm
 
 __all__ = ["NeoHookean", "neo_hookean", "neo_hookean_twin"]
 
@@ -43,7 +43,7 @@ def neo_hookean_twin(deformed, mu, lame):
     return mu * (deformed - inverse) + lame * volume[..., None, None] * inverse
 
 
-class NeoHookean(Term):
+class NeoHookean(SolidTerm):
     """P = mu (F - F^-T) + lambda ln J F^-T, of the energy W = mu / 2 (tr F'F - 3 - 2 ln J) + lambda / 2 (ln J)^2.
 
     Lame's constants mu = E / 2 (1 + nu) and lambda = 2 mu nu / (1 - 2 nu) are those of small strains. Bonet and Wood, "Nonlinear continuum
@@ -51,7 +51,6 @@ class NeoHookean(Term):
     """
 
     name = "neo_hookean"
-    stage = "solid"
     parameters = (
         Parameter("youngs_modulus", 2e4, 1e2, 1e8, "Pa", "Young's modulus E at small strains", scale="log"),
         Parameter("poisson", 0.3, 0.0, 0.49, "-", "Poisson's ratio nu at small strains"),

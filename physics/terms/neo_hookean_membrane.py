@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import MembraneTerm
 
 __all__ = ["NeoHookeanMembrane"]
 
@@ -25,7 +25,7 @@ def stretch(strain: Any, rate: Any, p: Any, o: int):
     return type(strain)(mu - less * b, mu - less * a, less * c)
 
 
-class NeoHookeanMembrane(Term):
+class NeoHookeanMembrane(MembraneTerm):
     """S = mu h (1 - C^-1 / det C), mu = E / 3: an incompressible neo-Hookean sheet in plane stress, thinner by 1 / sqrt(det C).
 
     Of the energy W = mu h / 2 (tr C + 1 / det C - 3). A strip at the stretch l bears mu h (l - 1 / l^2) per width. Holzapfel, "Nonlinear
@@ -33,7 +33,6 @@ class NeoHookeanMembrane(Term):
     """
 
     name = "neo_hookean_membrane"
-    stage = "membrane"
     parameters = (Parameter("rubber_stiffness", 300.0, 1.0, 1e6, "N/m", "Young's modulus at small strains times thickness", scale="log"),)
     law = stretch
 

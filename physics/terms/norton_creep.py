@@ -8,7 +8,8 @@ import warp as wp
 from ..parameters import Parameter
 from ..relaxation import settled
 from ..strains import deviator, deviator_twin, green, green_twin, poisson, poisson_twin, relaxing, relaxing_twin, size, size_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import FlowTerm
 
 __all__ = ["NortonCreep"]
 
@@ -24,7 +25,7 @@ def flow(deformed: Any, home: Any, mu: Any, lame: Any, dt: Any, p: Any, o: int):
     return relaxing(strain, settled(pace * dt))
 
 
-class NortonCreep(Term):
+class NortonCreep(FlowTerm):
     """D = dt r (e / e_0)^(n - 1) 3 / (2 (1 + nu)) dev E, e = sqrt(3 / 2) |dev E| / (1 + nu): von Mises' stress over Young's modulus.
 
     Norton's power law (Lemaitre and Chaboche, "Mechanics of solid materials", 1990, section 6.4) in strains: a bar under a load that
@@ -33,7 +34,6 @@ class NortonCreep(Term):
     """
 
     name = "norton_creep"
-    stage = "flow"
     parameters = (
         Parameter("norton_rate", 0.0, 0.0, 20.0, "1/s", "share of its elastic strain that a bar creeps by in a second, at the strain e_0"),
         Parameter("norton_exponent", 1.0, 1.0, 8.0, "-", "n: by which power of the stress"),

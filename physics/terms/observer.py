@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import ObserverTerm
 
 __all__ = ["Observer"]
 
@@ -18,14 +18,13 @@ def nudge(x: Any, v: Any, home: Any, y: Any, u: Any, m: Any, p: Any, o: int):
     return m * (w * w * (y - x) + type(m)(2.0) * type(m)(DAMPING) * w * (u - v))
 
 
-class Observer(Term):
+class Observer(ObserverTerm):
     """F = m (w^2 (y - x) + 2 z w (u - v)) with w = 2 pi f, z = 0.7: a Luenberger observer of bandwidth f.
 
     y and u are the position and velocity at which the particle was seen (``System.seen``); at 0 Hz the simulation runs free.
     """
 
     name = "observer"
-    stage = "observer"
     parameters = (Parameter("observer_bandwidth", 0.0, 0.0, 20.0, "Hz", "how fast the simulation is drawn to what was seen"),)
     law = nudge
 

@@ -6,7 +6,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..relaxation import settled
-from .base import Effect, Term
+from .base import Effect
+from .stages import StrandTerm
 
 __all__ = ["Plasticity"]
 
@@ -22,14 +23,13 @@ def flow(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: A
     return q + (elastic - wp.clamp(elastic, -p[o + 1], p[o + 1])) * settled(p[o] * dt)
 
 
-class Plasticity(Term):
+class Plasticity(StrandTerm):
     """F = -Y q beside the elastic Y e, e = l / L0 - 1: q is the plastic strain, q' = r sgn(e - q) max(0, |e - q| - e_Y).
 
     Perzyna's overstress law in one dimension with a linear overstress, without hardening; q' is integrated exactly while e holds still.
     """
 
     name = "plasticity"
-    stage = "strand"
     parameters = (
         Parameter("plastic_rate", 0.0, 0.0, 200.0, "1/s", "rate at which strain beyond the yield strain turns plastic"),
         Parameter("yield_strain", 0.01, 0.001, 1.0, "-", "elastic strain at which flow begins", scale="log"),

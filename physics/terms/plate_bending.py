@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import PlateTerm
 
 __all__ = ["PlateBending", "flexed", "flexed_twin"]
 
@@ -34,7 +34,7 @@ def flexed_twin(curvature, rigidity, poisson):
     return rigidity * np.stack([a + poisson * b, b + poisson * a, (1 - poisson) * twist], -1)
 
 
-class PlateBending(Term):
+class PlateBending(PlateTerm):
     """M = B ((1 - nu) k + nu tr(k) 1) of the curvature k beyond that at rest (Kirchhoff).
 
     Energy B / 2 (k_1^2 + k_2^2 + 2 nu k_1 k_2) per area. A strip of an isotropic plate, free across, bends by B (1 - nu^2); what Peirce's
@@ -42,7 +42,6 @@ class PlateBending(Term):
     """
 
     name = "plate_bending"
-    stage = "plate"
     parameters = (
         Parameter("plate_rigidity", 1e-5, 1e-9, 1e2, "N m", "bending moment per length and curvature, B", scale="log"),
         Parameter("plate_poisson", 0.0, 0.0, 0.5, "-", "how much it bends across against its will, as Poisson's ratio"),

@@ -5,8 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
 from .plate_bending import flexed, flexed_twin
+from .stages import PlateTerm
 
 __all__ = ["PlateDamping"]
 
@@ -16,11 +16,10 @@ def resist(curvature: Any, rate: Any, p: Any, o: int):
     return flexed(rate, p[o], p[o + 1])
 
 
-class PlateDamping(Term):
+class PlateDamping(PlateTerm):
     """M = c ((1 - nu) k' + nu tr(k') 1) of the rate k' at which the curvature changes: a plate's damping time is c / B."""
 
     name = "plate_damping"
-    stage = "plate"
     parameters = (
         Parameter("plate_viscosity", 0.0, 0.0, 1.0, "N m s", "bending moment per length and rate of curvature, B times a damping time"),
         Parameter("plate_viscous_poisson", 0.0, 0.0, 0.5, "-", "how it damps across, as Poisson's ratio"),

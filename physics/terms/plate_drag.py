@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import FacetTerm
 
 __all__ = ["PlateDrag"]
 
@@ -21,7 +22,7 @@ def resist(area: Any, v: Any, m: Any, swell: Any, dt: Any, p: Any, o: int):
     return n * (-rate * across / (type(m)(1.0) + rate * dt / m))
 
 
-class PlateDrag(Term):
+class PlateDrag(FacetTerm):
     """F = -c A |v.n| (v.n) n on every facet of area A and normal n, whichever side is in front.
 
     Rayleigh's drag equation for the part of the wind that meets a plate has c = rho C_d / 2, 0.7 kg/m^3 in air: cloth of 0.25 kg/m^2 that
@@ -30,7 +31,6 @@ class PlateDrag(Term):
     """
 
     name = "plate_drag"
-    stage = "facet"
     parameters = (Parameter("plate_drag", 0.0, 0.0, 1e6, "kg/m^3", "half the air's density times the drag coefficient of a plate"),)
     law = resist
     effect = Effect(

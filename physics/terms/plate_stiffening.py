@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import PlateTerm
 
 __all__ = ["PlateStiffening"]
 
@@ -20,7 +20,7 @@ def bend(curvature: Any, rate: Any, p: Any, o: int):
     return curvature * (p[o] * share)
 
 
-class PlateStiffening(Term):
+class PlateStiffening(PlateTerm):
     """M = b k |k|^2 / (|k|^2 + k_0^2): beside a law in proportion, a rigidity that grows from B to B + b where a bend is sharper than k_0.
 
     Woven cloth resists small bends by friction between its yarns and larger ones by the yarns alone; layers that are pressed together
@@ -28,7 +28,6 @@ class PlateStiffening(Term):
     """
 
     name = "plate_stiffening"
-    stage = "plate"
     parameters = (
         Parameter("plate_stiffening", 0.0, 0.0, 1e2, "N m", "rigidity b that sharp bends have beyond slight ones"),
         Parameter("plate_knee", 30.0, 1.0, 1e3, "1/m", "curvature k_0 at which half of it is met", scale="log"),

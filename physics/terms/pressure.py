@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import FacetTerm
 
 __all__ = ["Pressure"]
 
@@ -15,7 +16,7 @@ def press(area: Any, v: Any, m: Any, swell: Any, dt: Any, p: Any, o: int):
     return area * (p[o] * (p[o + 1] * swell - type(m)(1.0)))
 
 
-class Pressure(Term):
+class Pressure(FacetTerm):
     """F = p A n on every facet of a closed skin, p = k (V0 / V - 1): Boyle's law for air of the pressure k outside, over that pressure.
 
     V0 is the room that the filling wants, ``pressure_fill`` times that within the skin in frame 0; what leaks or gives way resists by less
@@ -23,7 +24,6 @@ class Pressure(Term):
     """
 
     name = "pressure"
-    stage = "facet"
     parameters = (
         Parameter("pressure", 0.0, 0.0, 1e8, "Pa", "pressure at twice the filling, or in half the room"),
         Parameter("pressure_fill", 1.0, 0.5, 2.0, "-", "room that the filling wants, over what it has in frame 0"),

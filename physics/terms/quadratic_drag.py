@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import VelocityTerm
 
 __all__ = ["QuadraticDrag"]
 
@@ -15,7 +16,7 @@ def resist(v: Any, dt: Any, p: Any, o: int):
     return v / (type(dt)(1.0) + p[o] * dt * wp.length(v))
 
 
-class QuadraticDrag(Term):
+class QuadraticDrag(VelocityTerm):
     """v <- v / (1 + c dt |v|): exact for dv/dt = -c |v| v, applied after the forces.
 
     As a force, -c |v| v would turn a particle around where c dt |v| > 1; this only ever slows it. Rayleigh's drag equation,
@@ -23,7 +24,6 @@ class QuadraticDrag(Term):
     """
 
     name = "quadratic_drag"
-    stage = "velocity"
     parameters = (Parameter("quadratic_drag", 0.0, 0.0, 1000.0, "1/m", "share of its speed that a particle loses per metre of way"),)
     law = resist
     effect = Effect(

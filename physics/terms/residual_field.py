@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import BodyTerm
 
 __all__ = ["INPUTS", "ResidualField"]
 
@@ -26,14 +26,13 @@ def push(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     )  # fmt: skip
 
 
-class ResidualField(Term):
+class ResidualField(BodyTerm):
     """F = m R (1, home, x, v), R a matrix (3, 10): the learned correction that a named effect is measured against.
 
     What is missing and yet has no name in the catalogue shows here: an energy source, a moving frame, a spring to nowhere.
     """
 
     name = "residual_field"
-    stage = "body"
     parameters = tuple(
         Parameter(f"residual_{axis}_{given}", 0.0, -1000.0, 1000.0, UNITS.get(given, "1/s^2"), f"force per mass along {axis} by {given}")
         for axis, given in product("xyz", INPUTS)

@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .shapes import shape_of, tied
+from .stages import SetupTerm
 
 __all__ = ["RestShape"]
 
 
-class RestShape(Term):
+class RestShape(SetupTerm):
     """L <- L exp(s + g . (h - c) / R): springs of the body want to be longer or shorter than they were in frame 0.
 
     h is the middle of the spring in frame 0, c the body's and R its rms radius. s is a uniform strain, and g one that grows across the
@@ -17,7 +18,6 @@ class RestShape(Term):
     """
 
     name = "rest_shape"
-    stage = "setup"
     parameters = (
         Parameter("rest_scale", 0.0, -0.7, 0.7, "-", "log-strain by which rest lengths exceed those of frame 0"),
         *(

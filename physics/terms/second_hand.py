@@ -5,8 +5,9 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .places import bell, bell_twin, near
+from .stages import ObserverTerm
 
 __all__ = ["SecondHand"]
 
@@ -16,7 +17,7 @@ def carry(x: Any, v: Any, home: Any, y: Any, u: Any, m: Any, p: Any, o: int):
     return ((y - x) + (u - v) * p[o + 5]) * (m * p[o] * bell(home, p, o + 1))
 
 
-class SecondHand(Term):
+class SecondHand(ObserverTerm):
     """F = m b w (y - x + t (u - v)), w = exp(-|home - c|^2 / (2 r^2)): a patch follows what was seen of it, at y [m] moving with u [m/s].
 
     An observer (Luenberger's) of bandwidth sqrt(b) and damping ratio t sqrt(b) / 2 in the patch alone: an unknown hand can be anywhere, so
@@ -24,7 +25,6 @@ class SecondHand(Term):
     """
 
     name = "second_hand"
-    stage = "observer"
     parameters = (
         Parameter("second_hand", 0.0, 0.0, 10000.0, "1/s^2", "squared bandwidth of the hold in the middle of the patch"),
         *near("second_hand", "second_hand_within"),

@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import ContactTerm
 
 __all__ = ["SelfCollision"]
 
@@ -31,7 +32,7 @@ def impulse(xi: Any, xj: Any, vi: Any, vj: Any, mi: Any, mj: Any, p: Any, o: int
     return (normal * (one + elasticity) + tangent * (one - keep)) / (one / mi + one / mj)
 
 
-class SelfCollision(Term):
+class SelfCollision(ContactTerm):
     """Restitution and friction between approaching particles closer than ``collision_dist`` (PhysTwin's code).
 
     Pairs are looked up once a frame; each particle gets the mean of its contacts' impulses (Jacobi), which does not conserve momentum
@@ -40,7 +41,6 @@ class SelfCollision(Term):
     """
 
     name = "self_collision"
-    stage = "contact"
     parameters = (
         Parameter("collision_dist", 0.02, 0.0, 0.5, "m", "distance within which particles can meet"),
         Parameter("collide_object_elas", 0.7, 0.0, 1.0, "-", "restitution between particles"),

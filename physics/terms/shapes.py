@@ -1,9 +1,15 @@
 """What setup terms ask of a body in frame 0. Controllers are no part of it."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
+
+if TYPE_CHECKING:
+    import torch
 
 __all__ = ["Shape", "shape_of", "tied"]
 
@@ -19,10 +25,10 @@ class Shape:
     first, with their largest component positive; ``extents`` are the rms distances along them, at least ``FLATTEST`` of the first.
     """
 
-    middle: object
-    size: object
-    axes: object
-    extents: object
+    middle: torch.Tensor
+    size: torch.Tensor
+    axes: torch.Tensor
+    extents: torch.Tensor
 
 
 def shape_of(batch) -> Shape:

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import GripTerm
 
 __all__ = ["SoftGrip"]
 
@@ -15,14 +15,13 @@ def carry(apart: Any, rate: Any, m: Any, p: Any, o: int):
     return (apart * p[o] + rate * (type(m)(2.0) * p[o + 1])) * (m * p[o])
 
 
-class SoftGrip(Term):
+class SoftGrip(GripTerm):
     """F = s m w (w d + 2 z d') on a point that lags d behind its hand, s the firmness with which it is held (``physics.points``).
 
     A hand that holds a mass M firmly is a spring of M w^2 [N/m], and of M w^2 r^2 [N m] against turning, r the radius of gyration there.
     """
 
     name = "soft_grip"
-    stage = "grip"
     parameters = (
         Parameter("grip_rate", 1000.0, 1.0, 3000.0, "1/s", "angular frequency w of a held mass", "log"),
         Parameter("grip_damping", 0.2, 0.0, 2.0, "-", "damping ratio z of that"),

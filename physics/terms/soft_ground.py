@@ -5,8 +5,9 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .ground import Ground, plane, rebound, touch
+from .stages import MoveTerm
 
 __all__ = ["SoftGround"]
 
@@ -26,7 +27,7 @@ def sink(x: Any, v: Any, dt: Any, p: Any, o: int):
     return rebound(x, after, dt, n, height + pad, elasticity, friction)
 
 
-class SoftGround(Term):
+class SoftGround(MoveTerm):
     """Above the hard plane, now ``pad`` deeper, a layer pushes up by up to ``firm`` per mass, in proportion to how far it is pressed.
 
     v_n += K s dt with s = -h / d in [0, 1], and friction takes up to mu K s dt of the slip; then the ground's impulses at the plane
@@ -34,7 +35,6 @@ class SoftGround(Term):
     """
 
     name = "soft_ground"
-    stage = "move"
     parameters = (
         *Ground.parameters,
         Parameter("ground_pad", 0.0, 0.0, 0.1, "m", "thickness of the soft layer"),
@@ -74,4 +74,5 @@ class SoftGround(Term):
             slide = v - n * (n @ v)
             slide = slide * max(0.0, 1 - collide_fric * press / max(np.linalg.norm(slide), 1e-6))
             v = n * (n @ v + press) + slide
-        return Ground.twin(x, v, dt, collide_elas, collide_fric, *n, ground_offset - ground_pad)
+        plane = ground_normal_x, ground_normal_y, ground_normal_z, ground_offset - ground_pad
+        return Ground.twin(x, v, dt, collide_elas, collide_fric, *plane)

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from .base import Term
+from .stages import AxialTerm
 
 __all__ = ["Springs"]
 
@@ -14,11 +14,10 @@ def tension(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any, o: int):
     return stiffness * (length / rest - type(length)(1.0))
 
 
-class Springs(Term):
+class Springs(AxialTerm):
     """F = Y (l / L0 - 1) along each spring: Y [N] and L0 [m] belong to the spring, so they live in the system's spring table."""
 
     name = "springs"
-    stage = "axial"
     law = tension
 
     @staticmethod

@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Term
 from .shapes import shape_of, tied
+from .stages import SetupTerm
 
 __all__ = ["StiffnessField"]
 
 MODES = ("slope_a", "slope_b", "slope_c", "bow_a", "bow_b", "saddle")
 
 
-class StiffnessField(Term):
+class StiffnessField(SetupTerm):
     """Y <- Y exp(sum_k a_k f_k(u)), f = (u_1, u_2, u_3, (u_1^2 - 1) / 2, (u_2^2 - 1) / 2, u_1 u_2).
 
     u is where a spring's middle was in frame 0: from the body's middle, along its principal axes, in rms extents. The smoothest modes of an
@@ -19,7 +19,6 @@ class StiffnessField(Term):
     """
 
     name = "stiffness_field"
-    stage = "setup"
     parameters = tuple(
         Parameter(f"stiffness_{mode}", 0.0, -2.0, 2.0, "-", f"{mode.replace('_', ' ')} of the log-stiffness") for mode in MODES
     )

@@ -3,19 +3,18 @@
 from dataclasses import replace
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import SetupTerm
 
 __all__ = ["StiffnessLevel"]
 
 
-class StiffnessLevel(Term):
+class StiffnessLevel(SetupTerm):
     """Y_s <- level * Y_s: one level for the body's own springs, one for those that tie controllers.
 
     A system whose springs have unit stiffness is then homogeneous, and its level can be searched like any other parameter.
     """
 
     name = "stiffness_level"
-    stage = "setup"
     parameters = (
         Parameter("body_stiffness", 1.0, 1e-3, 1e7, "-", "factor on the stiffness of the body's springs", "log"),
         Parameter("grip_stiffness", 1.0, 1e-3, 1e7, "-", "factor on the stiffness of the controllers' springs", "log"),

@@ -6,9 +6,10 @@ import numpy as np
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .neo_hookean import neo_hookean, neo_hookean_twin
 from .places import bell, bell_twin, near
+from .stages import MaterialTerm
 
 __all__ = ["StiffnessPatch"]
 
@@ -18,14 +19,13 @@ def stress(deformed: Any, home: Any, mu: Any, lame: Any, p: Any, o: int):
     return neo_hookean(deformed, mu, lame) * (p[o] * bell(home, p, o + 1))
 
 
-class StiffnessPatch(Term):
+class StiffnessPatch(MaterialTerm):
     """P = a w P_0, with the neo-Hookean stress P_0 of the elasticity's own moduli and w = exp(-d^2 / 2 R^2) of the distance d from a place.
 
     A patch of Young's modulus (1 + a w) Y.
     """
 
     name = "stiffness_patch"
-    stage = "material"
     parameters = (
         Parameter("patch_share", 0.0, -0.95, 20.0, "-", "stiffness in the middle of the patch beyond that of the rest, over the latter"),
         *near("patch", "patch_radius"),

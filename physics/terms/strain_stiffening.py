@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import AxialTerm
 
 __all__ = ["StrainStiffening"]
 
@@ -16,14 +17,13 @@ def stiffen(length: Any, rate: Any, rest: Any, stiffness: Any, p: Any, o: int):
     return stiffness * p[o] * strain * strain * strain
 
 
-class StrainStiffening(Term):
+class StrainStiffening(AxialTerm):
     """F = Y b e^3 beside the spring's own Y e, e = l / L0 - 1: odd in the strain, as the Duffing oscillator's cubic spring.
 
     At e = 1 / sqrt(b) the tension is twice the linear one and the slope dF/de = Y (1 + 3 b e^2) four times, and the stable step half.
     """
 
     name = "strain_stiffening"
-    stage = "axial"
     parameters = (Parameter("strain_stiffening", 0.0, 0.0, 1000.0, "-", "cubic share of the tension at unit strain"),)
     law = stiffen
     effect = Effect(

@@ -5,8 +5,9 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
 from .ground import Ground, plane, rebound, touch
+from .stages import MoveTerm
 
 __all__ = ["StribeckGround"]
 
@@ -19,7 +20,7 @@ def slip(x: Any, v: Any, dt: Any, p: Any, o: int):
     return rebound(x, v, dt, n, height, elasticity, friction + p[o + 6] * wp.exp(-wp.dot(slide, slide)))
 
 
-class StribeckGround(Term):
+class StribeckGround(MoveTerm):
     """The ground's impulses with mu(v_t) = mu_k + a exp(-(v_t / v_s)^2), v_t the speed along the plane before the impact (Stribeck).
 
     Static friction is mu_k + a, and passes into the kinetic mu_k around the speed v_s; with a = 0 it is ``Ground``, bit for bit. It
@@ -27,7 +28,6 @@ class StribeckGround(Term):
     """
 
     name = "stribeck_ground"
-    stage = "move"
     parameters = (
         *Ground.parameters,
         Parameter("friction_excess", 0.0, 0.0, 2.0, "-", "static friction above kinetic friction"),
@@ -63,4 +63,5 @@ class StribeckGround(Term):
         n = np.array([ground_normal_x, ground_normal_y, ground_normal_z])
         slide = (v - n * (n @ v)) / friction_speed
         friction = collide_fric + friction_excess * np.exp(-(slide @ slide))
-        return Ground.twin(x, v, dt, collide_elas, friction, *n, ground_offset)
+        plane = ground_normal_x, ground_normal_y, ground_normal_z, ground_offset
+        return Ground.twin(x, v, dt, collide_elas, friction, *plane)

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Term
+from .stages import SurfaceTerm
 
 __all__ = ["SurfaceDrag"]
 
@@ -19,11 +19,10 @@ def hold_back(x: Any, v: Any, home: Any, area: Any, m: Any, p: Any, o: int):
     return v * (-p[o] * type(m)(HALF_DENSITY) * area * wp.length(v))
 
 
-class SurfaceDrag(Term):
+class SurfaceDrag(SurfaceTerm):
     """F = -C rho / 2 (A / 4) |v| v for a patch A of skin: the drag of a convex body with its mean shadow, a quarter of its surface."""
 
     name = "surface_drag"
-    stage = "surface"
     parameters = (Parameter("drag_coefficient", 1.0, 0.0, 50.0, "-", "drag coefficient C"),)
     law = hold_back
 

@@ -6,8 +6,9 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..relaxation import settled
-from .base import Effect, Term
+from .base import Effect
 from .places import bell, bell_twin, near
+from .stages import StrandTerm
 
 __all__ = ["Tearing"]
 
@@ -26,7 +27,7 @@ def tear(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: A
     return q + (one - q) * settled(p[o] * bell(middle, p, o + 2) * beyond * dt)
 
 
-class Tearing(Term):
+class Tearing(StrandTerm):
     """F = -q Y e beside the elastic Y e, e = l / L0 - 1: q in [0, 1] is the damage, q' = r w (1 - q) max(0, e - e_c) / e_c.
 
     w = exp(-d^2 / (2 R^2)) of the distance d, in frame 0, of the spring's middle from the place. Kachanov's damage variable with a linear
@@ -34,7 +35,6 @@ class Tearing(Term):
     """
 
     name = "tearing"
-    stage = "strand"
     parameters = (
         Parameter("tear_rate", 0.0, 0.0, 1000.0, "1/s", "rate of damage at twice the tear strain"),
         Parameter("tear_strain", 0.03, 0.001, 2.0, "-", "strain at which tearing begins", scale="log"),

@@ -7,7 +7,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..strains import green, green_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import MaterialTerm
 
 __all__ = ["TensionCompression"]
 
@@ -21,7 +22,7 @@ def stress(deformed: Any, home: Any, mu: Any, lame: Any, p: Any, o: int):
     return deformed * ((square * (type(mu)(1.0) / size) - strain * third) * (p[o] * (mu + mu)))
 
 
-class TensionCompression(Term):
+class TensionCompression(MaterialTerm):
     """P = a 2 mu F (E E / r - tr(E^3) E / 3 r^3), r^2 = w^2 + E : E, of the energy W = a 2 mu tr(E^3) / 3 r, with the Green strain E.
 
     The simplest odd energy that grows no faster than elasticity: cubic below strains of w, so that the stiffness at rest is the
@@ -30,7 +31,6 @@ class TensionCompression(Term):
     """
 
     name = "tension_compression"
-    stage = "material"
     parameters = (
         Parameter("tension_share", 0.0, -1.2, 1.2, "-", "how much stiffer it is in tension than in compression"),
         Parameter("tension_width", 0.02, 1e-3, 0.5, "-", "strain over which compression passes into tension", "log"),

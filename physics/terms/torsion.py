@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import HingeTerm
 
 __all__ = ["Torsion"]
 
@@ -15,14 +16,13 @@ def moment(kappa: Any, rate: Any, natural: Any, span: Any, p: Any, o: int):
     return type(kappa)(type(span)(0.0), type(span)(0.0), p[o] * kappa[2] / span)
 
 
-class Torsion(Term):
+class Torsion(HingeTerm):
     """T = C tau / l along the rope: C [N m^2] is the torsional rigidity G J. Only hinges of a chain twist.
 
     Bergou et al., "Discrete elastic rods", 2008, section 4.2.2.
     """
 
     name = "torsion"
-    stage = "hinge"
     parameters = (Parameter("torsion_stiffness", 0.0, 0.0, 100.0, "N m^2", "torsional rigidity G J"),)
     law = moment
     effect = Effect(

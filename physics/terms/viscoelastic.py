@@ -6,7 +6,8 @@ import warp as wp
 
 from ..parameters import Parameter
 from ..relaxation import settled
-from .base import Effect, Term
+from .base import Effect
+from .stages import StrandTerm
 
 __all__ = ["Viscoelastic"]
 
@@ -21,14 +22,13 @@ def relax(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: 
     return q + (length / rest - type(length)(1.0) - q) * settled(dt / p[o + 1])
 
 
-class Viscoelastic(Term):
+class Viscoelastic(StrandTerm):
     """F = a Y (e - q), q' = (e - q) / tau, e = l / L0 - 1: with the elastic Y e the standard linear solid of Zener.
 
     q, the strain of the branch's dashpot, is integrated exactly while e holds still.
     """
 
     name = "viscoelastic"
-    stage = "strand"
     parameters = (
         Parameter("branch_stiffness", 0.0, 0.0, 20.0, "-", "stiffness of the Maxwell branch as a share of the spring's own"),
         Parameter("relaxation_time", 0.1, 0.01, 10.0, "s", "time in which the branch's force falls to 1/e", scale="log"),

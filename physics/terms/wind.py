@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from ..parameters import Parameter
-from .base import Effect, Term
+from .base import Effect
+from .stages import BodyTerm
 
 __all__ = ["Wind"]
 
@@ -26,7 +27,7 @@ def blow(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     return (q - u * (size - calm)) * (m * wp.sqrt(wp.dot(past, past) + faint * faint))
 
 
-class Wind(Term):
+class Wind(BodyTerm):
     """F = m |q| |e - v / W| (e - v / W), e = q / |q|: the drag equation F = m c |w - v| (w - v) (Rayleigh) with w = W e and c = |q| / W^2.
 
     q is the pull on a particle at rest, in which the force is linear, and W the wind's speed, at which a particle is pulled no more; for a
@@ -34,7 +35,6 @@ class Wind(Term):
     """
 
     name = "wind"
-    stage = "body"
     parameters = (
         *(Parameter(f"wind_{axis}", 0.0, -100.0, 100.0, "m/s^2", f"pull per mass on what is at rest, {axis}") for axis in "xyz"),
         Parameter("wind_speed", 3.0, 0.2, 50.0, "m/s", "speed of the air", "log"),

@@ -8,7 +8,8 @@ import warp as wp
 from ..parameters import Parameter
 from ..relaxation import settled
 from ..strains import deviator, deviator_twin, green, green_twin, poisson, poisson_twin, relaxing, relaxing_twin, size, size_twin
-from .base import Effect, Term
+from .base import Effect
+from .stages import FlowTerm
 
 __all__ = ["Yielding"]
 
@@ -24,7 +25,7 @@ def flow(deformed: Any, home: Any, mu: Any, lame: Any, dt: Any, p: Any, o: int):
     return relaxing(strain, excess * settled(p[o] * dt))
 
 
-class Yielding(Term):
+class Yielding(FlowTerm):
     """D = r dt (1 - e_Y / e) dev E where e > e_Y, e = sqrt(3 / 2) |dev E| / (1 + nu): von Mises' stress over Young's modulus.
 
     J2 plasticity in strains, without hardening: a bar flows at the stress Y e_Y. E is the Green strain of F G^-1, so that what flowed stays
@@ -33,7 +34,6 @@ class Yielding(Term):
     """
 
     name = "yielding"
-    stage = "flow"
     parameters = (
         Parameter("yielding_rate", 0.0, 0.0, 1000.0, "1/s", "rate at which strain beyond the yield strain turns plastic"),
         Parameter("solid_yield_strain", 0.05, 0.002, 1.0, "-", "elastic strain at which a bar yields", scale="log"),

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from twinbench.datasets.concealed import bodies, motions, sensing
-from twinbench.datasets.concealed.engine import Unstable, simulate
+from twinbench.datasets.concealed.engine import simulate
+from twinbench.datasets.concealed.world import Unstable
 from twinbench.datasets.synthetic.simulate import to_world
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.hands import hands_of

@@ -39,7 +39,9 @@ class Given:
     def diagnosis(self) -> Diagnosis:
         from ....diagnosis.diagnose import diagnose
 
-        return diagnose(self.fit, twin="springs", transfer=[self.transfer], preset=self.preset, device=self.device)
+        found = diagnose(self.fit, twin="springs", transfer=[self.transfer], preset=self.preset, device=self.device)
+        assert isinstance(found, Diagnosis)  # of a twin of springs
+        return found
 
     @property
     def inquiry(self) -> Inquiry:

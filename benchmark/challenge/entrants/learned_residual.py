@@ -18,6 +18,7 @@ class LearnedResidual(Entrant):
     def answer(self, given):
         inquiry = given.inquiry
         learned = inquiry.yardstick
+        assert learned is not None  # the diagnosis has it
         held = [learned.gain(part) for part in ("heldout", *inquiry.transferred)]
         fit = mean_of(inquiry, learned.against, learned.found, given.diagnosis.result["evidence"]["noise_floor"])
         return answer("unknown" if min(held) > WORTH else "adequate", fit=fit)

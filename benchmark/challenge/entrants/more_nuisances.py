@@ -26,7 +26,7 @@ class MoreNuisances(Entrant):
         added = {
             h.term: h
             for h in (s.hypothesis for s in inquiry.scores)
-            if h.term.stage in STAGES and not h.term.effect.place and not h.term.effect.shapes
+            if h.term.stage in STAGES and not h.term.stands_for().place and not h.term.stands_for().shapes
         }
         knobs = tuple(knob for term in sorted(added, key=lambda t: t.name) for knob in added[term].knobs)
         base = inquiry.base.fit

@@ -40,7 +40,7 @@ class NearestSignature(Entrant):
 def _where(replica, hypothesis):
     if hypothesis.place is None:
         return None
-    reach = float(hypothesis.values.get(hypothesis.term.effect.within, replica.spacing))
+    reach = float(hypothesis.values.get(hypothesis.term.stands_for().within, replica.spacing))
     nodes = np.flatnonzero(np.linalg.norm(replica.nodes - hypothesis.place, axis=1) < max(reach, 0.75 * replica.spacing))
     return {"points": replica.particles(nodes), "centroid": hypothesis.place.tolist(), "radius": reach}
 

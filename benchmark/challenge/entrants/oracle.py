@@ -30,6 +30,7 @@ class Oracle(Entrant):
     def answer(self, given):
         label, inquiry = given.label, given.unrefitted
         floor = noise_floor(inquiry)
+        assert label is not None and inquiry.yardstick is not None  # an oracle is told, and works on a whole diagnosis
         if label["kind"] == "control":
             return answer("adequate", fit=mean_of(inquiry, inquiry.base, inquiry.base, floor))
         if label["kind"] == "outside":
@@ -50,7 +51,7 @@ class Oracle(Entrant):
             best = int(np.argmin([f.loss for f in fits]))
             found = fits[best]
             chosen.append(scores[best].hypothesis)
-        judged = [evaluate(wide, f, inquiry.parts) for f in (plain, found)] if chosen else [inquiry.base, None]
+        before, after = (evaluate(wide, f, inquiry.parts) for f in (plain, found)) if chosen else (inquiry.base, None)
         place = one_place(concealed)
         return answer(
             "named",
@@ -59,7 +60,7 @@ class Oracle(Entrant):
             where=place and {"points": place["points"], "centroid": place["centroid"], "radius": place["radius"]},
             when={"frames": [concealed[0]["onset"][0] or 0, inquiry.case.frames]},
             parameters={k: v for h in chosen for k, v in _amplitudes(found, h).items()},
-            fit=mean_of(inquiry, *judged, floor),
+            fit=mean_of(inquiry, before, after, floor),
         )
 
 
@@ -74,7 +75,7 @@ def _told(inquiry, one) -> list[Hypothesis]:
     place = one["place"][0]
     moved = {}
     for h in known:
-        prefix = h.term.effect.place
+        prefix = h.term.stands_for().place
         values = dict(h.values)
         if prefix and place:
             values |= {f"{prefix}_{axis}": c for axis, c in zip("xyz", place["centroid"], strict=True)}

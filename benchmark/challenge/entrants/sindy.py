@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .base import Entrant, answer, mean_of, one_hot
@@ -32,7 +34,7 @@ class Sindy(Entrant):
         laws = [name for name in tables[0][1] if name != "own" and all(name in t[1] for t in tables)]
         gains = {n: min(1 - _left(fitted, one, ("own", n)) / p for one, p in zip(held, plain, strict=True)) for n in laws}
         fit = mean_of(inquiry, inquiry.base, None, floor)
-        best = max(gains, key=gains.get)
+        best = max(gains, key=gains.__getitem__)
         if not gains[best] > WORTH:
             return answer("adequate", fit=fit)
         when = {"frames": [0, replicas[0].frames]}
@@ -55,7 +57,7 @@ def derivatives(positions: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarr
         if len(known) > WINDOW:
             filled[:, node] = np.stack([np.interp(at, known, positions[known, node, c]) for c in range(3)], 1)
             far[:, node] = np.abs(at[:, None] - known).min(1) > WINDOW // 2
-    out = [
+    out: list[Any] = [
         savgol_filter(np.nan_to_num(filled), WINDOW, ORDER, deriv=d, delta=1 / fps, axis=0)
         if frames >= WINDOW
         else np.full_like(filled, np.nan)
@@ -63,7 +65,8 @@ def derivatives(positions: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarr
     ]
     for one in out:
         one[far] = np.nan
-    return tuple(out)
+    x, v, a = out
+    return x, v, a
 
 
 def columns(replica) -> tuple[np.ndarray, dict[str, list[np.ndarray]], np.ndarray]:
@@ -71,7 +74,7 @@ def columns(replica) -> tuple[np.ndarray, dict[str, list[np.ndarray]], np.ndarra
     recording, system = replica.recording, replica.system
     x, v, a = derivatives(replica.sightings.position, recording.fps)
     springs = system.springs[~replica.links]
-    i, j = springs.T
+    i, j = (np.asarray(ends) for ends in springs.T)
     rest = np.linalg.norm(replica.nodes[i] - replica.nodes[j], axis=1)
     d = x[:, j] - x[:, i]
     length = np.linalg.norm(d, axis=2)
@@ -79,10 +82,12 @@ def columns(replica) -> tuple[np.ndarray, dict[str, list[np.ndarray]], np.ndarra
     strain = length / rest - 1
     rate = ((v[:, j] - v[:, i]) * along).sum(2)
 
+    add_at: Any = np.add.at  # whose stub has no tuple of a slice and numbers
+
     def pulls(tension):  # (T, E) on the springs to (T, n, 3) on their ends
         total = np.zeros_like(x)
         for end, sign in ((i, 1.0), (j, -1.0)):
-            np.add.at(total, (slice(None), end), sign * np.nan_to_num(tension)[..., None] * np.nan_to_num(along))
+            add_at(total, (slice(None), end), sign * np.nan_to_num(tension)[..., None] * np.nan_to_num(along))
         return total
 
     def bends(field):  # twice the difference from the mean of the neighbours
@@ -90,8 +95,8 @@ def columns(replica) -> tuple[np.ndarray, dict[str, list[np.ndarray]], np.ndarra
             total, number = np.zeros_like(field), np.zeros((len(field), field.shape[1], 1))
             for one, other in ((i, j), (j, i)):
                 there = np.isfinite(field[:, other, :1])
-                np.add.at(total, (slice(None), one), np.where(there, field[:, other] - field[:, one], 0.0))
-                np.add.at(number, (slice(None), one), there)
+                add_at(total, (slice(None), one), np.where(there, field[:, other] - field[:, one], 0.0))
+                add_at(number, (slice(None), one), there)
             field = np.nan_to_num(total) / np.maximum(number, 1)
         return -field
 
@@ -115,7 +120,7 @@ def columns(replica) -> tuple[np.ndarray, dict[str, list[np.ndarray]], np.ndarra
         tangent = v - (v @ recording.ground.normal)[..., None] * recording.ground.normal
         laws["own"].append(np.where(touching, -tangent / np.maximum(np.linalg.norm(tangent, axis=2, keepdims=True), 0.02), 0.0))
         laws["ground_adhesion"] = [np.where(touching, -recording.ground.normal, 0.0)]
-    counts = np.isfinite(a).all(2)
+    counts = np.asarray(np.isfinite(a).all(2))
     tied = system.springs[replica.links].ravel()
     counts[:, tied[tied < len(replica.nodes)]] = False  # hands pull there
     counts[:, replica.driven] = False

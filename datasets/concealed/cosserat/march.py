@@ -5,13 +5,16 @@ Laws act once in a step, on positions halfway through it; within the step the ro
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...synthetic.simulate import GRAVITY
 from ..bodies import Body
-from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable, filmed
 from ..finite.contact import gaps
 from ..motions import Script
+from ..world import SETTLE, Motion, Physics, run
+from ..world import World as AnyWorld
 
 __all__ = ["World", "imported", "simulate"]
 
@@ -22,22 +25,14 @@ FELT = 0.05  # time over which fingers feel a pull: slip that answers a taut cor
 SINK = 1e-5  # how far the table gives under a vertex that rests on it with its own weight alone [m]
 
 
-class World:
-    """The running simulation, as laws see it: ``body``, its ``gripped`` vertices, ``start`` (V, 3), ``dt`` [s] and ``events``.
-
-    anchors  (G, 3) where the gripped vertices are held, in their hands' axes [m]; writable
-    small    how many small steps a step has
-    """
+class World(AnyWorld):
+    """The running simulation; ``small``: how many small steps a step has, with two poses of the hands each."""
 
     def __init__(self, body: Body, script: Script, physics: Physics, substeps: int):
         if body.dim != 1:
             raise ValueError(f"the engine of Cosserat rods simulates ropes, got a {body.kind}")
-        self.body, self.dt, self.events = body, 1 / (FPS * substeps), {}
-        self.start = body.vertices + [0, 0, body.radius]
-        self.gravity = np.array(physics.gravity)
-        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
-        self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
-        self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
+        super().__init__(body, script, substeps)
+        self.gravity, self.anchors = np.array(physics.gravity), self.reach()
         self.rotations = np.tile(np.eye(3), (len(self.gripped), 1, 1))
         self.rod = _rod(body, self.start)
         self.mass = self.rod.mass
@@ -145,6 +140,28 @@ class World:
 
     # --- a step -----------------------------------------------------------------------------------------------------------------------
 
+    def times(self, settle, steps):
+        self.poses = 2 * self.small
+        self.count = (settle + steps + 1) * self.poses + 1
+        return (np.arange(self.count) / self.poses - settle) * self.dt
+
+    def begin(self, paths=()):
+        super().begin(paths)
+        self.way = np.array([origin + moves for origin, (moves, _) in zip(self.origins, paths, strict=True)]).reshape(-1, self.count, 3)
+        self.turns = np.array([turns for _, turns in paths]).reshape(-1, self.count, 3, 3)
+
+    def place(self, step):
+        self.rotations = self.turns[:, step * self.poses]
+
+    def seen_by_laws(self):
+        """In the step's middle: a force that is held through it is there neither ahead nor behind."""
+        v = self.velocities()
+        return self.positions() + self.dt / 2 * v, v
+
+    def go(self, step, external):
+        poses = slice(step * self.poses, (step + 1) * self.poses + 1)
+        self.step(np.ascontiguousarray(self.way[:, poses]), np.ascontiguousarray(self.turns[:, poses]), external)
+
     def step(self, position: np.ndarray, rotation: np.ndarray, external: np.ndarray) -> None:
         """Advance by ``dt``, under ``external`` forces (V, 3) [N] and along poses of the hands: their positions (H, 2 n + 1, 3) [m] and
         rotations (H, 2 n + 1, 3, 3), two to each of n ``small`` steps."""
@@ -167,31 +184,10 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     """
     physics = physics or Physics()
     imported()
-    world = World(body, script, physics, substeps)
-    steps, settle, small = (script.frames - 1) * substeps, round(settle / world.dt), 2 * world.small
-    at = (np.arange((settle + steps + 1) * small + 1) / small - settle) * world.dt
-    paths = [hand.path(at) for hand in script.hands]
-    position = np.array([origin + moves for origin, (moves, _) in zip(world.origins, paths, strict=True)]).reshape(-1, len(at), 3)
-    rotation = np.array([turns for _, turns in paths]).reshape(-1, len(at), 3, 3)
-    laws = [law(world) for law in physics.laws]
-    frames = []
-    for step in range(settle + steps + 1):
-        x, v = world.positions(), world.velocities()
-        if step >= settle and (step - settle) % substeps == 0:
-            frames.append(x)
-        if not np.abs(v).max() < FASTEST:
-            raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: it blew up")
-        world.rotations = rotation[:, step * small]
-        # a force that is held through a step is neither ahead nor behind where it is worked out in its middle
-        middle, time = x + world.dt / 2 * v, (step - settle) * world.dt
-        external = sum((f for law in laws if (f := law(time, middle, v)) is not None), np.zeros_like(x))
-        poses = slice(step * small, (step + 1) * small + 1)
-        world.step(np.ascontiguousarray(position[:, poses]), np.ascontiguousarray(rotation[:, poses]), external)
-    sampled = (settle + np.arange(script.frames) * substeps) * small
-    return filmed(world, script, frames, paths, sampled)
+    return run(World(body, script, physics, substeps), script, physics, steps=substeps, settle=settle)
 
 
-def imported():
+def imported() -> Any:
     try:
         import elastica
     except ImportError as error:

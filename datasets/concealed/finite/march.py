@@ -6,12 +6,14 @@ touch something take Euler's backward step instead (x* = x_n, h the step): a rul
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...synthetic.simulate import GRAVITY
 from ..bodies import Body
-from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Unstable, filmed
 from ..motions import Script
+from ..world import SETTLE, ElasticWorld, Motion, Physics, run
 from .banded import Banded, one_thread
 from .contact import Contacts, gaps
 from .continuum import Continuum
@@ -31,19 +33,14 @@ EXACT = 3e-6  # the last correction of a step is smaller [m]
 LONGEST = 0.02  # correction [m]
 
 
-class World:
-    """The running simulation, as laws see it: ``body``, its ``gripped`` vertices, ``start`` (V, 3), ``dt`` [s] and ``events``.
+class World(ElasticWorld):
+    """The running simulation; ``rotations`` (H, 3, 3) of the hands."""
 
-    anchors  (G, 3) where the gripped vertices are held, in their hands' axes [m]; writable
-    rotations  (H, 3, 3) of the hands
-    """
+    refusals = (np.linalg.LinAlgError, FloatingPointError, ValueError)
 
     def __init__(self, body: Body, script: Script, physics: Physics, steps: int):
-        self.body, self.dt, self.events = body, 1 / (FPS * steps), {}
-        self.start = body.vertices + [0, 0, body.radius]
-        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
-        self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
-        self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
+        super().__init__(body, script, steps)
+        self.anchors = self.reach()
         self.rotations = np.tile(np.eye(3), (len(self.gripped), 1, 1))
         self.mass, self.gravity = body.mass.copy(), np.array(physics.gravity)
         self.x, self.v = self.start.copy(), np.zeros_like(self.start)
@@ -53,7 +50,7 @@ class World:
         belts = [(*physics.belt, 0.0), *[(0.0, 0.0, 0.0)] * len(physics.obstacles)]
         self.contacts = Contacts(surfaces, belts, body.mass, body.friction, body.radius, GRAVITY)
         self.rod = Rod(body, self.start) if body.dim == 1 else None
-        self.parts = [] if body.dim == 1 else [_elastic(body)] + ([_bending(body)] if body.dim == 2 else [])
+        self.parts: list[Any] = [] if body.dim == 1 else [_elastic(body)] + ([_bending(body)] if body.dim == 2 else [])
         self.own = self.parts[0].scale.copy() if self.parts else np.ones(len(body.elements))
         self.layers = Layers(body, GRAVITY) if body.layers and body.dim == 2 else None
         self.soft = {}  # by hand, stiffness [N/m] and damping [N s/m] of a vertex in it
@@ -90,7 +87,7 @@ class World:
         self.dofs = [*dofs, corners]
         self.system = Banded(self.dofs, free)
         self.lagged = self.body.cells is not None or (self.body.resolved and self.body.dim == 2)
-        self.factored = None, None
+        self.factored: tuple[Any, Any] = (None, None)  # a matrix and what touched when it was made
 
     # --- what laws ask and do ---------------------------------------------------------------------------------------------------------
 
@@ -162,6 +159,22 @@ class World:
         return lambda time, x, v: None
 
     # --- a step -----------------------------------------------------------------------------------------------------------------------
+
+    def place(self, step):
+        self.rotations = np.array([turns[step] for _, turns in self.paths]).reshape(-1, 3, 3)
+
+    def seen_by_laws(self):
+        """Ahead of the step, at whose end forces are taken."""
+        return self.x + self.dt * self.v, self.v
+
+    def go(self, step, external):
+        self.place(step + 1)
+        firsts = np.cumsum([0, *map(len, self.gripped)])
+        held = [
+            origin + moves[step + 1] + self.anchors[a:b] @ turn.T
+            for origin, (moves, _), turn, a, b in zip(self.origins, self.paths, self.rotations, firsts, firsts[1:], strict=False)
+        ]
+        self.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
 
     def step(self, targets: np.ndarray, external: np.ndarray) -> None:
         """Advance by ``dt``: held vertices to ``targets`` (G, 3) [m], under ``external`` forces (V, 3) [N]."""
@@ -246,7 +259,7 @@ class World:
     def _forces(self, x, frames, before, *, firm=False, tangent=True):
         """Inner and contact forces (V, 3), torques (S, 3), and all stiffness blocks in the order of ``dofs``, if a ``tangent`` is asked."""
         total, blocks = np.zeros(x.size + 3 * len(frames)), []
-        given = [part.evaluate(x, self.dt, firm=firm) if tangent else (part.pull(x, self.dt), None) for part in self.parts]
+        given: list[Any] = [part.evaluate(x, self.dt, firm=firm) if tangent else (part.pull(x, self.dt), None) for part in self.parts]
         if self.rod:
             given += zip(*self.rod.evaluate(x, frames, self.dt), strict=True)
         given.append(self.contacts.evaluate(x, before, self.dt))
@@ -276,37 +289,9 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
 
     Raises Unstable where the solution blows up or what is asked for cannot be solved.
     """
+    physics, steps = physics or Physics(), max(substeps // COARSER, 1)
     with one_thread():
-        return _simulate(body, script, physics or Physics(), max(substeps // COARSER, 1), settle)
-
-
-def _simulate(body, script, physics, per, settle):
-    world = World(body, script, physics, per)
-    steps = (script.frames - 1) * per
-    settle = round(settle / world.dt)
-    paths = [hand.path((np.arange(-settle, steps + 2)) * world.dt) for hand in script.hands]
-    laws = [law(world) for law in physics.laws]
-    firsts = np.cumsum([0, *map(len, world.gripped)])
-    frames = []
-    for step in range(settle + steps + 1):
-        if step >= settle and (step - settle) % per == 0:
-            frames.append(world.x)
-        if not np.abs(world.v).max() < FASTEST:
-            raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: it blew up")
-        time = (step - settle) * world.dt
-        world.rotations = np.array([turns[step] for _, turns in paths]).reshape(-1, 3, 3)
-        ahead = world.x + world.dt * world.v
-        external = sum((f for law in laws if (f := law(time, ahead, world.v)) is not None), np.zeros_like(world.x))
-        world.rotations = np.array([turns[step + 1] for _, turns in paths]).reshape(-1, 3, 3)
-        held = [
-            origin + moves[step + 1] + world.anchors[a:b] @ turn.T
-            for origin, (moves, _), turn, a, b in zip(world.origins, paths, world.rotations, firsts, firsts[1:], strict=False)
-        ]
-        try:
-            world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
-        except (np.linalg.LinAlgError, FloatingPointError, ValueError) as reason:
-            raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: {reason}") from None
-    return filmed(world, script, frames, paths, settle + np.arange(script.frames) * per)
+        return run(World(body, script, physics, steps), script, physics, steps=steps, settle=settle)
 
 
 def _elastic(body):

@@ -85,7 +85,8 @@ class Creases:
     def commit(self, x, dt):
         angle = self.angle(x)[0]
         for branch in self.branches:
-            branch[3] = angle - _carried(angle, branch[3], *branch[1:3], dt)
+            _, tau, limit, memory = branch
+            branch[3] = angle - _carried(angle, memory, tau, limit, dt)
         self.rest, self.before = self._flowed(angle, dt), angle
 
     def _flowed(self, angle, dt):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..bodies import Body
-from ..engine import FASTEST, FPS, SETTLE, Motion, Physics, Step, Unstable, filmed, pulled, stuck
+from ..engine import pulled, stuck
 from ..finite.shells import Creases
 from ..motions import Script
+from ..world import SETTLE, ElasticWorld, Motion, Physics, Step, run
 from .material import Bends, Elements
 from .scene import Scene
 
@@ -17,21 +20,14 @@ ITERATIONS = 6  # of vertex block descent in a step: with twice as many, what ca
 VISCOUS = (300.0, 1500.0)  # Pa s, viscosity of a body beyond which its vertices need steps half and a quarter as long to settle
 
 
-class World:
-    """The running simulation, as laws see it: ``body``, its ``gripped`` vertices, ``start`` (V, 3), ``dt`` [s] and ``events``.
-
-    anchors    (G, 3) where the gripped vertices are held, in their hands' axes [m]; writable
-    rotations  (H, 3, 3) and places (H, 3) of the hands
-    """
+class World(ElasticWorld):
+    """The running simulation; ``rotations`` (H, 3, 3) and ``places`` (H, 3) of the hands."""
 
     def __init__(self, body: Body, script: Script, physics: Physics, steps: int):
         if body.dim == 1:
             raise ValueError(f"the engine 'newton' simulates cloth and plush, got a {body.kind}")
-        self.body, self.physics, self.dt, self.events = body, physics, 1 / (FPS * steps), {}
-        self.start = body.vertices + [0, 0, body.radius]
-        self.gripped = tuple(body.held(hand.grip, hand.grip_radius) for hand in script.hands)
-        self.origins = [np.array(hand.grip) + [0, 0, body.radius] for hand in script.hands]
-        self.anchors = np.concatenate([self.start[g] - o for g, o in zip(self.gripped, self.origins, strict=True)] or [np.zeros((0, 3))])
+        super().__init__(body, script, steps)
+        self.physics, self.anchors = physics, self.reach()
         self.rotations, self.places = np.tile(np.eye(3), (len(self.gripped), 1, 1)), np.array(self.origins).reshape(-1, 3)
         self.held = np.isin(np.arange(len(self.start)), np.concatenate([*self.gripped, []]))
         self.mass, self.x, self.v = body.mass.copy(), self.start.copy(), np.zeros_like(self.start)
@@ -40,8 +36,9 @@ class World:
         self.elements = Elements(body, _poses(body))
         self.bends = Bends(body, Creases(body)) if body.dim == 2 else None
         self.own = np.ones(len(body.elements)) if body.stiffness is None else body.stiffness
-        self.scale, self.whole, self.scene = self.own.copy(), np.ones(len(body.elements)), None
-        self.intact = np.ones(len(self.bends.length)) if self.bends else 1.0
+        self.scale, self.whole = self.own.copy(), np.ones(len(body.elements))
+        self.scene: Any = None  # before ``begin``
+        self.intact = np.ones(len(self.bends.length) if self.bends else 1)
 
     # --- what laws ask and do ---------------------------------------------------------------------------------------------------------
 
@@ -130,8 +127,9 @@ class World:
 
     # --- a step -----------------------------------------------------------------------------------------------------------------------
 
-    def begin(self) -> None:
+    def begin(self, paths=()):
         """Laws have said what they want: give it to Newton."""
+        super().begin(paths)
         if self.bends and self.body.resolved:
             creases = self.bends.creases
             creases.clamp(self.held)
@@ -139,6 +137,18 @@ class World:
         self.scene = Scene(self.body, self.start, self.elements, self.bends, self.physics, self.dt, ITERATIONS)
         self._tell()
         self._weigh()
+
+    def place(self, step):
+        self.places = np.array([o + moves[step] for o, (moves, _) in zip(self.origins, self.paths, strict=True)]).reshape(-1, 3)
+        self.rotations = np.array([turns[step] for _, turns in self.paths]).reshape(-1, 3, 3)
+
+    def go(self, step, external):
+        self.place(step + 1)
+        firsts = np.cumsum([0, *map(len, self.gripped)])
+        held = [
+            place + self.anchors[a:b] @ turn.T for place, turn, a, b in zip(self.places, self.rotations, firsts, firsts[1:], strict=False)
+        ]
+        self.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
 
     def step(self, targets: np.ndarray, external: np.ndarray) -> None:
         """Advance by ``dt``: held vertices to ``targets`` (G, 3) [m], under ``external`` forces (V, 3) [N]."""
@@ -178,34 +188,8 @@ def simulate(body: Body, script: Script, physics: Physics | None = None, *, subs
     """
     if body.dim == 3:
         substeps *= 2 ** sum(body.young * body.damping > limit for limit in VISCOUS)
-    world = World(body, script, physics or Physics(), substeps)
-    steps, settle = (script.frames - 1) * substeps, round(settle / world.dt)
-    paths = [hand.path((np.arange(-settle, steps + 2)) * world.dt) for hand in script.hands]
-    laws = [law(world) for law in world.physics.laws]
-    world.begin()
-    firsts = np.cumsum([0, *map(len, world.gripped)])
-    frames = []
-    for step in range(settle + steps + 1):
-        if step >= settle and (step - settle) % substeps == 0:
-            frames.append(world.x)
-        if not np.abs(world.v).max() < FASTEST:
-            raise Unstable(f"{script.name} of {body.kind} after {step} steps of {world.dt:.2g} s: it blew up")
-        _put(world, paths, step)
-        time = (step - settle) * world.dt
-        external = sum((f for law in laws if (f := law(time, world.x, world.v)) is not None), np.zeros_like(world.x))
-        _put(world, paths, step + 1)
-        held = [
-            place + world.anchors[a:b] @ turn.T
-            for place, turn, a, b in zip(world.places, world.rotations, firsts, firsts[1:], strict=False)
-        ]
-        world.step(np.concatenate(held) if held else np.zeros((0, 3)), external)
-    return filmed(world, script, frames, paths, settle + np.arange(script.frames) * substeps)
-
-
-def _put(world, paths, step):
-    """The hands where they are at a step."""
-    world.places = np.array([o + moves[step] for o, (moves, _) in zip(world.origins, paths, strict=True)]).reshape(-1, 3)
-    world.rotations = np.array([turns[step] for _, turns in paths]).reshape(-1, 3, 3)
+    physics = physics or Physics()
+    return run(World(body, script, physics, substeps), script, physics, steps=substeps, settle=settle)
 
 
 def _poses(body):

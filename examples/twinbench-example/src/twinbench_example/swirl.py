@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 from twinbench.physics.parameters import Parameter
-from twinbench.physics.terms.base import Effect, Term
+from twinbench.physics.terms.base import Effect
+from twinbench.physics.terms.stages import BodyTerm
 
 __all__ = ["Swirl"]
 
@@ -15,11 +16,10 @@ def sideways(x: Any, v: Any, home: Any, m: Any, p: Any, o: int):
     return type(x)(-p[o] * v[1], p[o] * v[0], type(m)(0.0))
 
 
-class Swirl(Term):
+class Swirl(BodyTerm):
     """F = c (-v_y, v_x, 0): a push across the way that a particle goes, as a spinning body has in air (Magnus)."""
 
     name = "swirl"
-    stage = "body"
     parameters = (Parameter("swirl", 0.0, -5.0, 5.0, "N s/m", "force across the way at a speed of 1 m/s"),)
     law = sideways
     effect = Effect(

@@ -1,0 +1,4 @@
+# Compiled, and librealsense says nothing of its types.
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
