@@ -738,6 +738,21 @@ def test_what_is_there_is_kept(written, capsys):
 
 
 @pytest.mark.slow
+def test_a_part_of_a_set_is_the_same_cases(written, tmp_path, capsys):
+    from twinbench.datasets.concealed.__main__ import main
+
+    assert main(["--out", str(tmp_path), *COMMAND, "--cases", "case_001"]) == 0
+    whole, part = (json.loads((folder / "labels.json").read_text()) for folder in (written, tmp_path))
+    assert part["case_001"] | {"seconds": 0} == whole["case_001"] | {"seconds": 0} and [p.name for p in tmp_path.glob("case_*")] == [
+        "case_001"
+    ]
+    one, other = (read_case(folder / "case_001" / "transfer") for folder in (written, tmp_path))
+    np.testing.assert_array_equal(one.points, other.points)
+    assert main(["--out", str(tmp_path), *COMMAND, "--cases", "case_007"]) == 2
+    assert "case_000 to case_001, got case_007" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_one_seed_one_case():
     one, again = (build("effect", "added_mass", "rope", seed=3) for _ in range(2))
     for name in ("points", "visible", "controllers", "surface", "colors"):

@@ -96,16 +96,21 @@ def _options(arguments):
     parser.add_argument("--pairs", nargs="+", default=(), metavar="FIT:TRANSFER", help="interactions of the cases in turn, as lift:slow")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
     parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")
+    parser.add_argument("--cases", nargs="+", metavar="CASE", help="some of them, as case_007: a large set can be made part by part")
     return parser.parse_args(arguments)
 
 
 def _write(options):
-    """Make the cases that are not there, and print a line for each."""
+    """Make the cases that are not there, and print a line for each. Raises ValueError for one that the plan does not have."""
     options.out.mkdir(parents=True, exist_ok=True)
     cases = plan(options.seed, options.effects, options.controls, options.outside, bodies=options.bodies, only=options.only)
     file = options.out / LABELS
     labels = json.loads(file.read_text()) if file.exists() else {}
     wanted = {f"case_{i:03d}": (i, *case) for i, case in enumerate(cases)}
+    if strange := sorted({*(options.cases or ())} - {*wanted}):
+        raise ValueError(f"--cases must be among case_000 to case_{len(cases) - 1:03d}, got {', '.join(strange)}")
+    if options.cases:
+        wanted = {name: wanted[name] for name in options.cases}
     todo = {name: case for name, case in wanted.items() if name not in labels or not (options.out / name / "transfer").is_dir()}
     how = {"clear": tuple(options.clear), "engine": options.engine, "solids": options.solids, "thin": options.thin}
     with Pool(options.jobs) as pool:
