@@ -1,6 +1,6 @@
 """The drawing of the rooms, docs/pictures/rooms.svg, made from the imports in the code: ``python docs/tools/rooms.py`` writes it.
 
-Only the standard library is needed. ``tests/test_docs.py`` says when the file is not what the imports are.
+Only the standard library is needed. ``tests/docs/test_docs.py`` says when the file is not what the imports are.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "twinbench-example"
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "twinbench-example"
 MAIN = "import sys; from twinbench.benchmark.cli import main; sys.exit(main())"
 
 

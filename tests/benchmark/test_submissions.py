@@ -37,7 +37,7 @@ from twinbench.metrics.base import get_metric
 LENGTHS = ("chamfer", "chamfer_l2", "track_error", "coordinate_error")
 # what is of the machine and the moment, or of a fit that a submission does not make
 ELSEWHERE = {"date", "device", "commit", "code_checksum", "peak_memory_mib", "peak_device_memory_mib", "rollout_seconds"}
-DOCS = Path(__file__).resolve().parents[1] / "docs" / "submissions.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "submissions.md"
 
 
 @pytest.fixture(scope="module")

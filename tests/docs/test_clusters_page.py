@@ -14,7 +14,7 @@ from twinbench.benchmark.executors import EXECUTORS
 from twinbench.benchmark.executors.base import MAX_ATTEMPTS
 from twinbench.benchmark.executors.slurm_options import SlurmOptions
 
-TEXT = (Path(__file__).resolve().parents[1] / "docs" / "clusters.md").read_text(encoding="utf-8")
+TEXT = (Path(__file__).resolve().parents[2] / "docs" / "clusters.md").read_text(encoding="utf-8")
 
 
 def blocks(kind):

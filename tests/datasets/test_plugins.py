@@ -328,7 +328,7 @@ FILES = {
 
 
 def test_a_broken_file_in_a_clone_is_one_named_warning(tmp_path, python):
-    root, package = Path(__file__).resolve().parents[1], tmp_path / "site" / "twinbench"
+    root, package = Path(__file__).resolve().parents[2], tmp_path / "site" / "twinbench"
     for room in ("benchmark", "datasets", "diagnosis", "methods", "metrics", "physics"):
         shutil.copytree(root / room, package / room, ignore=shutil.ignore_patterns("__pycache__"))
     for file in ("__init__.py", "spelling.py"):

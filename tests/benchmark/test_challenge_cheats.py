@@ -645,7 +645,7 @@ def test_an_archive_does_not_follow_links(sealed, tmp_path):
 
 def test_a_set_of_last_year_still_opens():
     """The fields of manifest and ledger are part of the hashes: those of the set in results/sealed are read as they were written."""
-    here = Folder(Path(__file__).resolve().parents[1] / "results" / "sealed")
+    here = Folder(Path(__file__).resolve().parents[2] / "results" / "sealed")
     assert here.history()[0]["event"] == "made" and "diagnosis" in Ledger(here.ledger.file).read()[1]["rival"]
     assert history(here, here.ledger.head).entries == len(here.ledger.read())
     assert Answers(here, "diagnosis").entered()

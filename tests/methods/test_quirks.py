@@ -8,7 +8,7 @@ import pytest
 from twinbench.benchmark.ablations import ABLATIONS
 from twinbench.benchmark.differences import FILE, switches, up_to_date
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 TEXT = FILE.read_text(encoding="utf-8")
 ROWS = [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in TEXT.splitlines() if line.startswith("| ")][1:]
 PARTS = [folder.parent.name for folder in sorted((ROOT / "methods").glob("*/config.py")) if "class Quirks" in folder.read_text()]

@@ -1,4 +1,4 @@
-"""How systems are laid out for the engine that keeps them in shared memory; the engine itself needs a GPU (tests/test_gpu.py)."""
+"""How systems are laid out for the engine that keeps them in shared memory; the engine itself needs a GPU (tests/physics/test_gpu.py)."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The engine on CUDA against the same engine on the CPU. Run on a machine with a GPU: python -m pytest tests/test_gpu.py"""
+"""The engine on CUDA against the same engine on the CPU. Run on a machine with a GPU: python -m pytest tests/physics/test_gpu.py"""
 
 from dataclasses import fields, replace
 

@@ -22,7 +22,7 @@ from twinbench.datasets.synthetic.resolved import resolved
 from twinbench.datasets.synthetic.sensor import Scene, Sensor
 from twinbench.datasets.synthetic.simulate import GRAVITY, simulate, to_world
 
-SAMPLE = Path(__file__).resolve().parents[1] / "datasets" / "sample"
+SAMPLE = Path(__file__).resolve().parents[2] / "datasets" / "sample"
 COARSE = Plush(cells=(6, 2, 1))
 
 

@@ -33,7 +33,7 @@ from twinbench.datasets.concealed.seal import canonical, digest, folder_digest, 
 
 COARSE = {"solids": "tetrahedra", "thin": "coarse"}  # as the sealed sets have them
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 # --- the plan -------------------------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from twinbench.datasets.collection import open_collection
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.continuum.body import body_of
 
-SAMPLE = Path(__file__).parents[2] / "datasets" / "sample"
+SAMPLE = Path(__file__).parents[3] / "datasets" / "sample"
 NOTHING = np.zeros((0, 3))
 
 

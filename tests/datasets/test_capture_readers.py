@@ -17,7 +17,7 @@ from twinbench.datasets.capture.layout import _KEYS, read_layout, write_layout
 from twinbench.datasets.capture.pictures import Held
 from twinbench.datasets.capture.timing import measure_timing
 
-SAMPLE = Path(__file__).resolve().parents[1] / "datasets" / "sample" / "plush_lift"
+SAMPLE = Path(__file__).resolve().parents[2] / "datasets" / "sample" / "plush_lift"
 K = [[60.0, 0, 9.5], [0, 60.0, 7.5], [0, 0, 1]]
 
 

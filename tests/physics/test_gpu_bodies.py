@@ -1,5 +1,5 @@
 """Solids and sheets on CUDA against the same on the CPU, forward and back. Run on a machine with a
-GPU: pytest tests/test_gpu_bodies.py"""
+GPU: pytest tests/physics/test_gpu_bodies.py"""
 
 from dataclasses import replace
 

@@ -20,7 +20,7 @@ from twinbench.benchmark.table import blocks
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 WRITTEN = {
     file.relative_to(ROOT).as_posix(): file.read_text(encoding="utf-8")
