@@ -77,8 +77,8 @@ def body_of(recording: Observed, *, kind: str | None = None, pitch: float | None
     kind = kind or told
     if kind != "solid" and pitch is None:
         return _ungridded(recording, kind, evidence, inside, notes)
-    assert inside is not None  # or there would be no volume to be a solid
     _refuse_thin(inside, spacing, kind, where)
+    assert inside is not None  # or it would have been too thin
     if evidence["growth"] > GROWTH:
         notes.append(f"how much its points enclose is uncertain: {100 * evidence['growth']:.0f} % more if gaps a fifth wider are closed")
     grid, samples = grid_of(inside, pitch, where)
