@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -71,7 +71,7 @@ def extend(
         device=device,
         progress=lambda said: say(said.split(", ")[0], 1 / 3),
     )
-    assert isinstance(found, Diagnosis)  # of a twin of springs
+    found = cast(Diagnosis, found)  # of a twin of springs
     said, term = _said(found), named(found, start.body)
     if term is None:
         return twin(f"nothing added: {said}{', which no term of the fine twin stands for' if found.result['effect'] else ''}")

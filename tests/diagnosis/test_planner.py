@@ -291,7 +291,7 @@ def test_where_there_is_nothing_to_simulate(drags, verdict, names, says):
 
 
 def test_a_twin_that_follows_the_recording_foretells_nothing(drags):
-    follows = SimpleNamespace(effect=QuadraticDrag.effect, stage="observer")
+    follows = SimpleNamespace(effect=QuadraticDrag.effect, stands_for=lambda: QuadraticDrag.effect, stage="observer")
     given = evidence(drags)
     given.refits[0].score.hypothesis.term = follows
     assert planner.experiment(given, decision("ambiguous", "quadratic_drag", "plate_drag"))[1] is None

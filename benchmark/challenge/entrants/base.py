@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
@@ -40,8 +40,7 @@ class Given:
         from ....diagnosis.diagnose import diagnose
 
         found = diagnose(self.fit, twin="springs", transfer=[self.transfer], preset=self.preset, device=self.device)
-        assert isinstance(found, Diagnosis)  # of a twin of springs
-        return found
+        return cast("Diagnosis", found)  # of a twin of springs
 
     @property
     def inquiry(self) -> Inquiry:
