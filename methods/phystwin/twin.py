@@ -51,7 +51,7 @@ class PhysTwinTwin(Twin):
             rolled = batch.rollout(paths.shape[1], batch.along(paths[own]))
             for row, positions, bad in zip(own, rolled.positions, rolled.diverged, strict=True):
                 blown = Diverged(f"the simulation blew up in frame {bad}", int(bad)) if bad >= 0 else None
-                found[row] = blown or Trajectory(positions.float().cpu().numpy(), self.place.counts)
+                found[int(row)] = blown or Trajectory(positions.float().cpu().numpy(), self.place.counts)
         return [found[row] for row in range(len(paths))]
 
     def placed(self, start) -> tuple[System, tuple[int, float] | None]:
