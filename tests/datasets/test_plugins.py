@@ -76,7 +76,7 @@ BROKEN = {
     "raises": ("methods", "raises:X", "1 / 0", "ZeroDivisionError: division by zero"),
     "quits": ("methods", "quits:X", "import sys; sys.exit(3)", "SystemExit: 3"),
     "syntax": ("metrics", "syntax:X", "def", "SyntaxError: invalid syntax"),
-    "bytes": ("metrics", "bytes_:X", b"\xff\xfe\x00", "SyntaxError"),
+    "bytes": ("metrics", "bytes_:X", b"\xff\xfe", "SyntaxError"),
     "needs": ("methods", "needs:X", "import an_engine_that_is_not_here", "No module named 'an_engine_that_is_not_here'"),
     "gone": ("methods", "no_such_module:X", "", "No module named 'no_such_module'"),
     "attribute": ("datasets", "attribute:Gone", "x = 1", "AttributeError"),
