@@ -2,35 +2,26 @@
 
 import sys
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
+import probes
 import pytest
+from probes import cord, watch
 from twinbench.datasets.concealed import bodies, cosserat, finite, laws, motions
-from twinbench.datasets.concealed.bodies import Body, lumped
 from twinbench.datasets.concealed.case import build, rms
 from twinbench.datasets.concealed.cosserat import World, march, simulate
 from twinbench.datasets.concealed.effects import EFFECTS, OUTSIDE
 from twinbench.datasets.concealed.engines import able
 from twinbench.datasets.concealed.motions import Script
 from twinbench.datasets.concealed.world import Obstacle, Physics, Unstable
-from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.simulate import GRAVITY
 
 pytest.importorskip("elastica", reason="PyElastica is not installed: pip install 'pyelastica>=1'")
 
 NOWHERE = Physics(gravity=(0.0, 0.0, 0.0))
-
-
-def cord(*, length=0.4, count=21, height=0.0, rigidity=1e-5, mass=0.03, radius=4e-3, **more):
-    """A straight rope along x from the origin, without damping or drag unless asked."""
-    x = np.linspace(0, length, count)
-    vertices = np.stack([x, 0 * x, np.full(count, height)], 1)
-    elements = np.stack([np.arange(count - 1), np.arange(1, count)], 1)
-    young = rigidity / (np.pi * radius**4 / 4)
-    about = {"drag": 0.0, "damping": 0.0, "shear": 1e-3 * young} | more
-    body = Body("rope", vertices, elements, np.zeros((0, 3), int), np.ones(count), radius, young, **about)
-    return replace(body, mass=lumped(elements, body.measure, mass, count))
+holding = partial(probes.holding, reach=0.03)
 
 
 def hanging(**about):
@@ -40,24 +31,8 @@ def hanging(**about):
     return replace(body, vertices=np.stack([0 * x, 0 * x, z - x], 1))
 
 
-def holding(*places, frames=31, turn=None, move=None, reach=0.03):
-    """Hands that close around ``places`` and stay, or of which the first goes to ``move`` and turns by ``turn`` within a second."""
-    zero = (0.0, 0.0, 0.0)
-    hands = []
-    for i, place in enumerate(places):
-        there, about = (zero, zero) if i else (tuple(move or zero), tuple(turn or zero))
-        hands.append(Interaction("hand", grip=tuple(place), grip_radius=reach, times=(0.0, 1.0), moves=(zero, there), turns=(zero, about)))
-    return Script("hold", tuple(hands), frames)
-
-
 def free(frames=16):
     return Script("free", (), frames)
-
-
-def watch(seen):
-    """A law without force that keeps what ``seen`` (world -> value) says in every step."""
-    kept = []
-    return (lambda world: lambda time, x, v: kept.append((time, seen(world)))), kept
 
 
 def still(world, steps, watched):

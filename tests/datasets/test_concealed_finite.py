@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from probes import cord, holding, sheet, stretched, watch
 from twinbench.datasets.concealed import bodies, laws
-from twinbench.datasets.concealed.bodies import Body, lumped
 from twinbench.datasets.concealed.case import build
 from twinbench.datasets.concealed.engines import ENGINES, engine
 from twinbench.datasets.concealed.finite import World, simulate
@@ -17,51 +17,11 @@ from twinbench.datasets.concealed.finite.rods import Rod, turned
 from twinbench.datasets.concealed.finite.shells import Creases
 from twinbench.datasets.concealed.motions import Script
 from twinbench.datasets.concealed.world import Obstacle, Physics, Unstable
-from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.simulate import GRAVITY
 
 FREE = Script("free", (), 31)  # a second without hands
 NOWHERE = Physics(gravity=(0.0, 0.0, 0.0))
 DT = 1 / 240
-
-
-def sheet(*, size=0.1, width=None, cells=4, height=0.0, tension=50.0, mass=0.01, poisson=0.0, thickness=1e-3, radius=1e-3, **more):
-    """A cloth of squares, each halved; ``width`` across, ``size`` along x."""
-    n, k = cells + 1, round(cells * (width or size) / size) + 1
-    x, y = np.meshgrid(np.linspace(0, size, n), np.linspace(0, width or size, k), indexing="ij")
-    index = np.arange(n * k).reshape(n, k)
-    a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    vertices = np.stack([x.ravel(), y.ravel(), np.full(n * k, height)], 1)
-    about = {"poisson": poisson, "thickness": thickness, "drag": 0.0, "damping": 0.0} | more
-    body = Body("cloth", vertices, faces, faces, np.ones(n * k), radius, tension / thickness, **about)
-    return replace(body, mass=lumped(faces, body.measure, mass, n * k))
-
-
-def cord(*, length=0.4, count=21, height=0.0, rigidity=1e-5, mass=0.03, radius=4e-3, **more):
-    x = np.linspace(0, length, count)
-    vertices = np.stack([x, 0 * x, np.full(count, height)], 1)
-    elements = np.stack([np.arange(count - 1), np.arange(1, count)], 1)
-    young = rigidity / (np.pi * radius**4 / 4)
-    about = {"drag": 0.0, "damping": 0.0, "shear": 1e-3 * young} | more
-    body = Body("rope", vertices, elements, np.zeros((0, 3), int), np.ones(count), radius, young, **about)
-    return replace(body, mass=lumped(elements, body.measure, mass, count))
-
-
-def holding(body, *places, frames=31, turn=None, move=None, reach=0.025):
-    """Hands that close around ``places`` and stay, or of which the first goes to ``move`` and turns by ``turn`` within a second."""
-    zero = (0.0, 0.0, 0.0)
-    hands = []
-    for i, place in enumerate(places):
-        there, about = (zero, zero) if i else (tuple(move or zero), tuple(turn or zero))
-        hands.append(Interaction("hand", grip=tuple(place), grip_radius=reach, times=(0.0, 1.0), moves=(zero, there), turns=(zero, about)))
-    return Script("hold", tuple(hands), frames)
-
-
-def watch(seen):
-    """A law without force that keeps what ``seen`` (world -> value) says in every step."""
-    kept = []
-    return (lambda world: lambda time, x, v: kept.append((time, seen(world)))), kept
 
 
 def jiggled(body, size=0.05, seed=0):
@@ -189,7 +149,7 @@ def test_strains_of_a_rod_and_their_slopes():
 def test_a_stiff_cord_bends_as_a_cantilever():
     length, mass, rigidity = 0.3, 0.02, 5e-2
     body = cord(length=length, count=31, height=0.5, rigidity=rigidity, mass=mass, drag=20.0)
-    motion = simulate(body, holding(body, body.vertices[0], frames=45, reach=0.021), settle=0.0)
+    motion = simulate(body, holding(body.vertices[0], frames=45, reach=0.021), settle=0.0)
     free = length - 0.02 + 0.005  # three vertices are held and the segments between them; bending begins in the middle of the last
     # Clamped beam under its own weight, small deflections: w L^4 / (8 E I), 3 % of L; the swing dies out as exp(-10 t).
     sag = motion.vertices[-1, 0, 2] - motion.vertices[-1, -1, 2]
@@ -199,7 +159,7 @@ def test_a_stiff_cord_bends_as_a_cantilever():
 def test_a_strip_of_cloth_bends_as_a_plate():
     size, width, mass, nu = 0.2, 0.04, 0.004, 0.0
     body = sheet(size=size, width=width, cells=20, height=0.5, tension=3e3, thickness=2e-3, mass=mass, poisson=nu, bending=10.0, drag=20.0)
-    motion = simulate(body, holding(body, (-0.02, 0.02, 0.5), frames=45, reach=0.0371), settle=0.0)
+    motion = simulate(body, holding((-0.02, 0.02, 0.5), frames=45, reach=0.0371), settle=0.0)
     held = np.unique(body.vertices[motion.gripped[0], 0])
     rigidity = 10.0 * (3e3 / 2e-3) * 2e-3**3 / 12 * width
     free = size - held.max() + 0.005  # an edge bends with half a cell on either side
@@ -213,7 +173,7 @@ def test_a_hanging_strip_is_as_long_as_its_weight_makes_it():
     body = sheet(size=length, width=width, cells=8, tension=tension, mass=mass, drag=15.0)
     hang = np.stack([0 * body.vertices[:, 0], body.vertices[:, 1] - width / 2, 0.6 - body.vertices[:, 0]], 1)
     body = replace(body, vertices=hang)
-    motion = simulate(body, holding(body, (0, 0, 0.6), frames=45, reach=0.013), settle=0.0)
+    motion = simulate(body, holding((0, 0, 0.6), frames=45, reach=0.013), settle=0.0)
     assert motion.gripped[0].tolist() == [0, 1]
     # m g L / (2 E t w), 0.7 %; the next order in the strain is 0.4 % of that.
     longer = mass * GRAVITY * length / (2 * tension * width)
@@ -223,7 +183,7 @@ def test_a_hanging_strip_is_as_long_as_its_weight_makes_it():
 
 def test_a_turned_grip_twists_a_cord_evenly():
     body = cord(length=0.3, count=25, height=0.5, rigidity=2e-4, shear=1e6, damping=0.02)
-    script = holding(body, body.vertices[0], body.vertices[-1], frames=45, turn=(2.0, 0, 0), reach=0.02)
+    script = holding(body.vertices[0], body.vertices[-1], frames=45, turn=(2.0, 0, 0), reach=0.02)
     law, kept = watch(lambda w: w.rod._bend(w.frames)[0][:, 2])
     simulate(body, script, replace(NOWHERE, laws=(law,)), settle=0.0)
     twist = kept[-1][1]
@@ -267,7 +227,7 @@ def test_a_hanging_chain_swings_as_bernoulli_found():
     along = np.linspace(1, 0, count)
     hang[:, 1] = tip * j0(jn_zeros(0, 1)[0] * np.sqrt(along))
     body = replace(body, vertices=hang)
-    motion = simulate(body, holding(body, hang[0], frames=150, reach=0.001), settle=0.0)
+    motion = simulate(body, holding(hang[0], frames=150, reach=0.001), settle=0.0)
     swing = motion.vertices[:, -1, 1]
     frequency, decay = first_mode(swing)
     # Daniel Bernoulli 1733: w = z1 / 2 sqrt(g / L), z1 = 2.4048. BDF2 in steps of 1/240 s damps 5 rad/s by w^4 dt^3 / 4 = 1e-5 / s.
@@ -280,7 +240,7 @@ def test_a_stretched_sheet_rings_and_dies_out_as_it_should(damping):
     length, tension, mass = 0.3, 4.0, 0.05
     body = sheet(size=length, width=0.06, cells=20, height=0.5, tension=tension, mass=mass, damping=damping)
     areal = mass / (length * 0.06)
-    held = holding(body, (-0.1, 0.03, 0.5), frames=60, reach=0.105)
+    held = holding((-0.1, 0.03, 0.5), frames=60, reach=0.105)
     world = World(body, held, NOWHERE, 8)
     clamp = body.vertices[world.gripped[0], 0].max()
     free = length - clamp
@@ -301,7 +261,7 @@ def test_a_stretched_sheet_rings_and_dies_out_as_it_should(damping):
 def test_steps_converge_in_second_order():
     body = replace(bodies.draw("rope", np.random.default_rng(3)), damping=0.01)
     body = replace(body, vertices=body.vertices + [0, 0, 1.0])
-    script = holding(body, body.vertices[0], frames=16, move=(0.1, 0.1, 0.1))
+    script = holding(body.vertices[0], frames=16, move=(0.1, 0.1, 0.1))
     ends = [simulate(body, script, substeps=4 * per, settle=0.0).vertices[-1] for per in (4, 8, 16, 32)]
     errors = [np.linalg.norm(a - b, axis=1).mean() for a, b in pairwise(ends)]
     # Halving the step divides the change by 4 in second order, by 2 in first; a jerk at the start costs some of it.
@@ -394,10 +354,6 @@ def test_a_sheet_that_falls_on_another_lies_on_it(layers):
 # --- laws -----------------------------------------------------------------------------------------------------------------------------
 
 
-def stretched(body, share):
-    return body.vertices * [1 + share, 1, 1]
-
-
 def pull(part, x, dt=DT):
     force = np.zeros_like(x)
     np.add.at(force, part.nodes, part.evaluate(x, dt)[0])
@@ -479,7 +435,7 @@ def test_a_torn_seam_carries_nothing():
     body = sheet(height=0.5, cells=5, tension=200.0)
     middle = np.abs(body.vertices[body.elements].mean(axis=1)[:, 0] - 0.05) < 0.01
     physics = Physics(laws=(laws.tear(np.flatnonzero(middle), 0.3),))
-    motion = simulate(body, holding(body, (0.0, 0.05, 0.5), frames=20, reach=0.055), physics, settle=0.0)
+    motion = simulate(body, holding((0.0, 0.05, 0.5), frames=20, reach=0.055), physics, settle=0.0)
     part = body.vertices[:, 0] > 0.055
     loose = motion.vertices[:, part, 2] @ body.mass[part] / body.mass[part].sum()
     assert motion.events["tear"] == 9
@@ -490,7 +446,7 @@ def test_a_grip_carries_the_weight_and_slips_by_what_it_may():
     body, most = sheet(height=0.5, drag=5.0), 0.03
     weight = body.mass.sum() * GRAVITY
     law, kept = watch(lambda world: world.grip_force(0))
-    script = holding(body, body.vertices[0], frames=75)
+    script = holding(body.vertices[0], frames=75)
     held = simulate(body, script, Physics(laws=(law,)), settle=0.0)
     np.testing.assert_allclose(np.mean([f for t, f in kept if t > 2], axis=0), [0, 0, -weight], atol=0.02 * weight)
     slipped = simulate(body, script, Physics(laws=(laws.slip(0.5 * weight, 1.0 / weight, most),)), settle=0.0)
@@ -504,7 +460,7 @@ def test_a_soft_grip_gives_by_weight_over_stiffness():
     stiffness = weight / 0.02
     law, kept = watch(lambda world: world.grip_force(0))
     physics = Physics(laws=(laws.soft_grip(stiffness, 2 * np.sqrt(stiffness * body.mass.sum())), law))
-    motion = simulate(body, holding(body, body.vertices[0], frames=75), physics, settle=0.0)
+    motion = simulate(body, holding(body.vertices[0], frames=75), physics, settle=0.0)
     down = motion.vertices[:, motion.gripped[0], 2].mean(axis=1)
     assert down[0] - down[-1] == pytest.approx(0.02, rel=0.03)  # m g / k, after it has come to rest
     np.testing.assert_allclose(np.mean([f for t, f in kept if t > 2], axis=0), [0, 0, -weight], atol=0.02 * weight)

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from probes import holding, sheet, stretched, watch
 from twinbench.datasets.concealed import bodies, finite, laws, motions
 from twinbench.datasets.concealed import engine as mujoco_engine
 from twinbench.datasets.concealed import newton_bodies as newton_engine
@@ -17,7 +18,6 @@ from twinbench.datasets.concealed.motions import Script
 from twinbench.datasets.concealed.newton_bodies import World, march, simulate
 from twinbench.datasets.concealed.newton_bodies.material import Elements
 from twinbench.datasets.concealed.world import Obstacle, Physics, Unstable
-from twinbench.datasets.synthetic.interactions import Interaction
 from twinbench.datasets.synthetic.simulate import GRAVITY
 
 pytest.importorskip("newton", reason="Newton is not installed: pip install 'newton>=1.8'")
@@ -25,19 +25,6 @@ pytest.importorskip("newton", reason="Newton is not installed: pip install 'newt
 FREE = Script("free", (), 31)  # a second without hands
 NOWHERE = Physics(gravity=(0.0, 0.0, 0.0))
 DT = 1 / 960
-
-
-def sheet(*, size=0.1, width=None, cells=4, height=0.0, tension=50.0, mass=0.01, poisson=0.0, thickness=1e-3, radius=1e-3, **more):
-    """A cloth of squares, each halved; ``width`` across, ``size`` along x. No damping or drag unless asked."""
-    n, k = cells + 1, round(cells * (width or size) / size) + 1
-    x, y = np.meshgrid(np.linspace(0, size, n), np.linspace(0, width or size, k), indexing="ij")
-    index = np.arange(n * k).reshape(n, k)
-    a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    vertices = np.stack([x.ravel(), y.ravel(), np.full(n * k, height)], 1)
-    about = {"poisson": poisson, "thickness": thickness, "drag": 0.0, "damping": 0.0} | more
-    body = Body("cloth", vertices, faces, faces, np.ones(n * k), radius, tension / thickness, **about)
-    return replace(body, mass=lumped(faces, body.measure, mass, n * k))
 
 
 def bar(*, cells=(10, 2, 2), pitch=0.02, height=0.5, young=3000.0, density=100.0, **more):
@@ -57,22 +44,6 @@ def bar(*, cells=(10, 2, 2), pitch=0.02, height=0.5, young=3000.0, density=100.0
     about = {"drag": 0.0, "damping": 0.0} | more
     body = Body("plush", vertices, elements, np.zeros((0, 3), int), np.ones(len(grid)), 1e-3, young, **about)
     return replace(body, mass=lumped(elements, body.measure, density * body.measure.sum(), len(grid)))
-
-
-def holding(body, *places, frames=31, move=None, reach=0.025):
-    """Hands that close around ``places`` and stay, or of which the first goes to ``move`` within a second."""
-    zero = (0.0, 0.0, 0.0)
-    hands = []
-    for i, place in enumerate(places):
-        there = zero if i else tuple(move or zero)
-        hands.append(Interaction("hand", grip=tuple(place), grip_radius=reach, times=(0.0, 1.0), moves=(zero, there), turns=(zero, zero)))
-    return Script("hold", tuple(hands), frames)
-
-
-def watch(seen):
-    """A law without force that keeps what ``seen`` (world -> value) says in every step."""
-    kept = []
-    return (lambda world: lambda time, x, v: kept.append((time, seen(world)))), kept
 
 
 def pushing(force, until):
@@ -141,7 +112,7 @@ def test_the_pull_of_elements_is_the_slope_of_their_energy(kind):
 def test_newtons_elements_pull_as_they_are_said_to():
     # What ``grip_force`` says is worked out beside Newton: where one vertex is free, its acceleration in one step is Newton's own force.
     for body in (sheet(cells=1, poisson=0.3, bending=5.0), bar(cells=(1, 1, 1))):
-        world = World(body, holding(body, body.vertices[0], reach=0.0), NOWHERE, 32)
+        world = World(body, holding(body.vertices[0], reach=0.0), NOWHERE, 32)
         world.held[:] = True
         world.held[3] = False
         world.begin()
@@ -154,10 +125,6 @@ def test_newtons_elements_pull_as_they_are_said_to():
         pulled += world.bends.pull(world.x, world.before, world.dt, world.intact) if world.bends else 0
         np.testing.assert_allclose(body.mass[3] * world.v[3] / world.dt, pulled[3], rtol=0.01, atol=1e-3 * np.abs(pulled).max())
         np.testing.assert_allclose(world.x[world.held], x[world.held], atol=1e-7)  # what is held goes where it is sent
-
-
-def stretched(body, share):
-    return body.vertices * [1 + share, 1, 1]
 
 
 def test_a_branch_relaxes_exponentially_or_gives_way():
@@ -196,7 +163,7 @@ def test_a_hanging_strip_is_as_long_as_its_weight_makes_it():
     body = sheet(size=length, width=width, cells=8, tension=tension, mass=mass, drag=15.0)
     hang = np.stack([0 * body.vertices[:, 0], body.vertices[:, 1] - width / 2, 0.6 - body.vertices[:, 0]], 1)
     body = replace(body, vertices=hang)
-    motion = simulate(body, holding(body, (0, 0, 0.6), frames=45, reach=0.013), settle=0.0)
+    motion = simulate(body, holding((0, 0, 0.6), frames=45, reach=0.013), settle=0.0)
     assert motion.gripped[0].tolist() == [0, 1]
     # m g L / (2 E t w), 0.7 %; the next order in the strain is 0.4 % of that.
     longer = mass * GRAVITY * length / (2 * tension * width)
@@ -219,7 +186,7 @@ def test_a_pulled_bar_of_foam_stretches_and_narrows(fibre):
 def test_a_strip_of_cloth_bends_as_a_plate():
     size, width, mass, tension = 0.12, 0.04, 0.0015, 60.0
     body = sheet(size=size, width=width, cells=6, height=0.5, tension=tension, mass=mass, bending=1200.0, drag=20.0)
-    motion = simulate(body, holding(body, (-0.02, 0.02, 0.5), frames=45, reach=0.0471), settle=0.0)
+    motion = simulate(body, holding((-0.02, 0.02, 0.5), frames=45, reach=0.0471), settle=0.0)
     held = np.unique(body.vertices[motion.gripped[0], 0])
     rigidity = 1200.0 * tension * 1e-3**2 / 12 * width
     free = size - held.max() + 0.01  # an edge bends with half a cell on either side
@@ -227,7 +194,7 @@ def test_a_strip_of_cloth_bends_as_a_plate():
     assert len(held) >= 2
     # Clamped plate under its own weight, small deflections: w L^4 / (8 D b), on a mesh of five free cells to a tenth
     assert sag == pytest.approx(mass / size * GRAVITY * free**4 / (8 * rigidity), rel=0.1)
-    other = finite.simulate(body, holding(body, (-0.02, 0.02, 0.5), frames=45, reach=0.0471), settle=0.0).vertices[-1]
+    other = finite.simulate(body, holding((-0.02, 0.02, 0.5), frames=45, reach=0.0471), settle=0.0).vertices[-1]
     assert sag == pytest.approx(other[0, 2] - other[-1, 2], rel=2e-3)  # the same shells, solved otherwise
 
 
@@ -258,7 +225,7 @@ def test_a_stretched_sheet_rings_and_dies_out_as_it_should(damping):
     length, tension, mass = 0.3, 4.0, 0.05
     body = sheet(size=length, width=0.06, cells=10, height=0.5, tension=tension, mass=mass, damping=damping)
     areal = mass / (length * 0.06)
-    world = World(body, holding(body, (-0.1, 0.03, 0.5), frames=60, reach=0.105), NOWHERE, 32)
+    world = World(body, holding((-0.1, 0.03, 0.5), frames=60, reach=0.105), NOWHERE, 32)
     clamp = body.vertices[world.gripped[0], 0].max()
     free = length - clamp
     world.begin()
@@ -381,7 +348,7 @@ def test_a_grip_carries_the_weight_and_slips_by_what_it_may():
     body, most = sheet(height=0.5, drag=5.0), 0.03
     weight = body.mass.sum() * GRAVITY
     law, kept = watch(lambda world: world.grip_force(0))
-    script = holding(body, body.vertices[0], frames=60)
+    script = holding(body.vertices[0], frames=60)
     held = simulate(body, script, Physics(laws=(law,)), settle=0.0)
     np.testing.assert_allclose(np.mean([f for t, f in kept if t > 1.6], axis=0), [0, 0, -weight], atol=0.03 * weight)
     slipped = simulate(body, script, Physics(laws=(laws.slip(0.5 * weight, 1.0 / weight, most),)), settle=0.0)
@@ -395,7 +362,7 @@ def test_a_soft_grip_gives_by_weight_over_stiffness():
     stiffness = weight / 0.02
     law, kept = watch(lambda world: world.grip_force(0))
     physics = Physics(laws=(laws.soft_grip(stiffness, 2 * np.sqrt(stiffness * body.mass.sum())), law))
-    motion = simulate(body, holding(body, body.vertices[0], frames=60), physics, settle=0.0)
+    motion = simulate(body, holding(body.vertices[0], frames=60), physics, settle=0.0)
     down = motion.vertices[:, motion.gripped[0], 2].mean(axis=1)
     assert down[0] - down[-1] == pytest.approx(0.02, rel=0.03)  # m g / k, after it has come to rest
     np.testing.assert_allclose(np.mean([f for t, f in kept if t > 1.5], axis=0), [0, 0, -weight], atol=0.02 * weight)
@@ -405,7 +372,7 @@ def test_a_torn_seam_carries_nothing():
     body = sheet(height=0.5, cells=5, tension=200.0)
     middle = np.abs(body.vertices[body.elements].mean(axis=1)[:, 0] - 0.05) < 0.01
     physics = Physics(laws=(laws.tear(np.flatnonzero(middle), 0.3),))
-    motion = simulate(body, holding(body, (0.0, 0.05, 0.5), frames=20, reach=0.055), physics, settle=0.0)
+    motion = simulate(body, holding((0.0, 0.05, 0.5), frames=20, reach=0.055), physics, settle=0.0)
     part = body.vertices[:, 0] > 0.055
     loose = motion.vertices[:, part, 2] @ body.mass[part] / body.mass[part].sum()
     assert motion.events["tear"] == 9

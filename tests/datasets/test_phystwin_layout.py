@@ -2,7 +2,6 @@
 
 import builtins
 import errno
-import gc
 import json
 import pickle
 import subprocess
@@ -15,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from reaching import reachable
 from twinbench.datasets.catalogue import CASES, CITED, PAIRS, PUBLISHED, self_collides
 from twinbench.datasets.collection import layouts, open_collection
 from twinbench.datasets.findings import collected
@@ -233,17 +233,6 @@ def test_cleaned_masks_serve_where_only_they_are_there_and_give_no_more_frames(t
     assert np.array_equal(seen.mask(1, 2), masks[2, 1])
     held = [o for o in reachable(seen) if isinstance(o, np.ndarray) and o.shape == (HEIGHT, WIDTH)]
     assert held and not any(np.array_equal(m, masks[3, c]) for m in held for c in range(2)), "a hidden frame is kept in memory"
-
-
-def reachable(root):
-    """Every object that can be reached from ``root`` through containers and instance attributes."""
-    found, waiting = {}, [root]
-    while waiting:
-        item = waiting.pop()
-        if id(item) not in found and not isinstance(item, (type, type(sys))) and not callable(item):
-            found[id(item)] = item
-            waiting.extend(gc.get_referents(item))
-    return list(found.values())
 
 
 def test_human_masks_beside_the_cases_come_first(tmp_path):

@@ -1,14 +1,13 @@
 """What a recording is, what it refuses, and that a method cannot reach the frames it is scored on."""
 
 import dataclasses
-import gc
 import pickle
-import sys
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reaching import reachable
 from twinbench.datasets.scenario import Camera, Observed, Plane, Scenario, Split, TransferPair
 
 T, N, C, TRAIN = 10, 4, 2, 6
@@ -279,19 +278,6 @@ def test_images_of_the_test_frames_are_beyond_reach(frames):
         for beyond in range(frames, T):
             with pytest.raises(IndexError):
                 read(0, beyond)
-
-
-def reachable(root):
-    """Every object that the garbage collector sees from ``root``; classes, modules and functions lead to the whole program, not further."""
-    found, waiting = {}, [root]
-    while waiting:
-        item = waiting.pop()
-        if id(item) not in found and not isinstance(item, (type, type(sys))) and not callable(item):
-            found[id(item)] = item
-            waiting.extend(gc.get_referents(item))
-            if isinstance(item, np.ndarray) and item.base is not None:
-                waiting.append(item.base)
-    return list(found.values())
 
 
 def leaks(root):
