@@ -43,9 +43,8 @@ def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unkno
     """
     effect, known = label["effect"], label["parameters"]
     place: Any = next((p for p in [*label["place"][recording:], *label["place"]] if p), None)
-    kind = getattr(getattr(scene, "body", None), "kind", "solid")  # a planner's arm that was not fitted yet has no scene
-    if kind != "solid" and effect in MATERIAL:
-        raise KeyError(f"{effect} of a {kind}")
+    if scene.body.kind != "solid" and effect in MATERIAL:
+        raise KeyError(f"{effect} of a {scene.body.kind}")
     if effect == "viscoelastic":
         return (terms.Maxwell(),), [_amount("maxwell_share", 1.0, 0.05, 20.0, "-"), _amount("maxwell_time", 0.15, 0.01, 2.0, "s")], {}
     if effect == "added_mass":

@@ -100,6 +100,6 @@ def _with(arm, method, sound, seen, budget, options) -> Twin:
     """From the sound twin's values on, the amounts of the effect among the unknowns; nothing of them is told."""
     from ..solid_oracle import told
 
-    extra, amounts, fixed = told({"effect": arm.added, "parameters": {}, "place": []}, None)
+    extra, amounts, fixed = told({"effect": arm.added, "parameters": {}, "place": []}, sound.scene)
     begin = sound.values | {f"rec0_{name}": value for name, value in sound.values.items()}
     return method.fitted([seen], method.presets[budget.preset], begin=begin, extra=extra, extra_unknowns=amounts, fixed=fixed, **options)
