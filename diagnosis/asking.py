@@ -18,9 +18,10 @@ from ..methods.continuum.twin import ContinuumTwin
 from ..methods.continuum.unknowns import Unknown
 from .config import DiagnosisConfig
 from .inference.contrast import comparable
+from .inference.peers import compared, there
 from .inference.phases import Answer, Evidence, Named, gathered, weighed
 from .outcome import Outcome
-from .suitable import suitable
+from .suitable import is_marked, suitable
 
 __all__ = ["Asked", "ask", "asked", "sound_twin", "told_twin"]
 
@@ -69,6 +70,7 @@ def asked(
     *,
     fitted_on: Sequence[Scenario] = (),
     against: Sequence[Scenario] = (),
+    twin: ContinuumTwin | None = None,
     seed: int = 0,
     device: str = "cpu",
     progress: Tell = lambda said: None,
@@ -76,22 +78,34 @@ def asked(
     """All that is found out from train frames (and, as a check on what they named, the frames held out) of ``recordings`` of one object.
 
     In ``fitted_on`` nothing is missing: all of their frames are fitted with the others', and effects act in the others alone. So it is in
-    ``against``, which had the command of the one recording that is asked: how far it differs from them is asked then.
+    ``against``, which had the command of the one recording that is asked: how far it differs from them is asked then. Of markers on a
+    cable the twin is fitted to ``fitted_on`` alone, and what it misses there tells how far it is off (``inference.peers``).
+    twin: one that was fitted so before, which is not fitted again.
     """
     progress("fitting a sound twin")
-    known = [comparable(recordings[0], one) for one in against] or [one.with_split(one.frame_count) for one in fitted_on]
-    everything = [*recordings, *known]
-    twin = sound_twin(everything, config, seed=seed, device=device)
-    sound = range(len(recordings), len(everything))
-    evidence = gathered(twin, everything, config, sound=sound, against=bool(against), seed=seed, progress=progress)
+    if fitted_on and is_marked(recordings[0]):
+        twin = twin or sound_twin([_whole(one) for one in fitted_on], config, seed=seed, device=device)
+        evidence = compared(twin, recordings[0], fitted_on, config, progress=progress)
+        twin = there(twin, recordings[0])
+    else:
+        known = [comparable(recordings[0], one) for one in against] or [_whole(one) for one in fitted_on]
+        everything = [*recordings, *known]
+        twin = twin or sound_twin(everything, config, seed=seed, device=device)
+        sound = range(len(recordings), len(everything))
+        evidence = gathered(twin, everything, config, sound=sound, against=bool(against), seed=seed, progress=progress)
     answer = weighed(evidence, config, progress=progress)
     told = None
-    if answer.verdict == "named" and known:
+    if answer.verdict == "named" and (fitted_on or against):
         told = _refitted_twin(twin, evidence, answer.named[0])
     elif answer.verdict == "named":
         progress(f"fitting the twin with {answer.named[0].words}")
         told = told_twin(twin, [one.observed() for one in recordings], answer.named[0], _coarse(config), seed=seed)
     return Asked(twin, evidence, answer, told)
+
+
+def _whole(recording: Scenario) -> Scenario:
+    """All of its frames are fitted."""
+    return recording.with_split(recording.frame_count)
 
 
 def _refitted_twin(twin: ContinuumTwin, evidence: Evidence, named: Named) -> ContinuumTwin:
@@ -108,6 +122,7 @@ def ask(
     transfer: Sequence[Scenario] = (),
     fitted_on: Sequence[Scenario] = (),
     against: Sequence[Scenario] = (),
+    twin: ContinuumTwin | None = None,
     config: DiagnosisConfig | None = None,
     seed: int = 0,
     device: str = "cpu",
@@ -124,7 +139,12 @@ def ask(
     if against and (fitted_on or len(recordings) != 1):
         raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
     suitable([*recordings, *fitted_on, *against], transfer)
-    options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
+    if is_marked(recordings[0]) and not against and (len(recordings) != 1 or not fitted_on):
+        raise ValueError(
+            "markers are asked one recording at a time, beside others in which nothing is missing (fitted_on) or of the same command "
+            f"(against), got {len(recordings)} and no others (scenario {recordings[0].name})"
+        )
+    options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, twin=twin, seed=seed, device=device, progress=progress)
     found = asked(recordings, config, **options)
     roles = dict(case=recordings, fitted_on=fitted_on, against=against, transfer=transfer)
     parts = [(one, role) for role, group in roles.items() for one in group]

@@ -259,7 +259,8 @@ def _experiment(verdict: str, names) -> str | None:
 def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:
     scene, members = found.twin.scene, len(found.evidence.noisy)
     body, cells = scene.body.kind, config.cells_of(scene.body)
-    said = [f"The twin that was questioned is a {body}, in {cells:g} times the method's cells, beside {members} sound twins."]
+    beside = f"{members} recordings in which nothing is missing" if found.evidence.from_recordings else f"{members} sound twins"
+    said = [f"The twin that was questioned is a {body}, in {cells:g} times the method's cells, beside {beside}."]
     said.append(f"p = {answer.test.p:.2g} that a sound twin's error looks like this (level {config.level:g}); {answer.runs} roll-outs.")
     if answer.verdict == "adequate":
         said.append("Effects below the sizes listed as detectable may still be there.")

@@ -8,11 +8,13 @@ import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..methods.continuum.bodies import Body, bodies_of
+from .config import DiagnosisConfig
 
-__all__ = ["has_continuum", "suitable"]
+__all__ = ["has_continuum", "is_marked", "suitable"]
 
 FRAMES = 12  # train frames: eight bins of fewer are single frames, whose noise is no mean's
 POINTS = 20  # tracked points that are seen in frame 0: two regions of ten
+MARKERS = 3  # that are seen in frame 0 and not driven, where there are markers: fewer show no shape
 EXTENT = 0.02, 5.0  # m: beyond it, units are wrong or nothing of the tables' bodies is meant
 SEEN = 0.2  # of points and frames: of less, most means are of nothing
 KINDS = ("solid", "rope")
@@ -30,6 +32,11 @@ def has_continuum(one: Scenario) -> bool:
         return _body(one).kind in KINDS
     except ValueError:
         return False
+
+
+def is_marked(one: Scenario) -> bool:
+    """Whether tracks are so few that each counts for itself: markers, not points of a skin."""
+    return one.points.shape[1] < DiagnosisConfig.regions * DiagnosisConfig.fewest
 
 
 def suitable(recordings: Sequence[Scenario], transfer: Sequence[Scenario] = ()) -> None:
@@ -57,7 +64,12 @@ def _enough(one: Scenario) -> None:
     if one.split.train_end < FRAMES:
         raise ValueError(f"a diagnosis needs at least {FRAMES} train frames, got {one.split.train_end} (scenario {one.name})")
     seen = one.points[0][one.visible[0]]
-    if len(seen) < POINTS:
+    free = np.setdiff1d(np.flatnonzero(one.visible[0]), one.grips)
+    if (one.grips >= 0).any() and len(free) < MARKERS:
+        raise ValueError(
+            f"a diagnosis needs at least {MARKERS} markers seen in frame 0 that no hand drives, got {len(free)} (scenario {one.name})"
+        )
+    if not (one.grips >= 0).any() and len(seen) < POINTS:
         raise ValueError(f"a diagnosis needs at least {POINTS} points seen in frame 0, got {len(seen)} (scenario {one.name})")
     if (share := float(one.visible[: one.split.train_end].mean())) < SEEN:
         raise ValueError(f"points must be seen in at least {SEEN:.0%} of train frames, got {share:.0%} (scenario {one.name})")

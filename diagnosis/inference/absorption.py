@@ -17,6 +17,7 @@ SHORTER = 0.3  # times the step that led to something worse
 def absorb(runs, reference, slopes: np.ndarray, sd: np.ndarray, run: Run, bounds, *, rounds: int) -> tuple[np.ndarray, np.ndarray]:
     """(left (K, B) m, shifts (K, n)) of ``runs`` (K, B) m against a ``reference`` (B,) m: what is left is against real runs of it.
 
+    Where runs are recordings, each has a reference of its own, (K, B), and ``slopes`` (K, B, n).
     slopes  (B, n) m for one prior standard deviation of each parameter, whose prior precision is then 1
     sd      (B,) m, noise of the block means, infinite where they are not fitted; what is left so far is added to it, as a fit would hear
             such data less: of all runs, so that what was measured is one among sound twins if it is sound
@@ -27,10 +28,10 @@ def absorb(runs, reference, slopes: np.ndarray, sd: np.ndarray, run: Run, bounds
     shorter. Slopes start as the shared ones, and each run's own are corrected by what its steps missed (``slopes``).
     """
     runs = np.asarray(runs, float)
-    count, size = len(runs), slopes.shape[1]
-    base: np.ndarray = np.tile(np.asarray(reference, float), (count, 1))
+    count, size = len(runs), slopes.shape[-1]
+    base: np.ndarray = np.broadcast_to(np.asarray(reference, float), runs.shape)
     at: np.ndarray = np.zeros((count, size))
-    ways: np.ndarray = np.tile(slopes, (count, 1, 1))
+    ways: np.ndarray = np.broadcast_to(slopes, (count, *slopes.shape[-2:])).copy()
     reach: np.ndarray = np.ones(count)
     for _ in range(rounds):
         heard = np.hypot(sd, np.sqrt(np.mean((runs - base) ** 2, 0)))

@@ -2,18 +2,19 @@
 
 The noise is told by the tracks themselves: what each strays from a linear field of its region, which no twin of a body resolves either.
 Strays of different tracks are independent, those of one track at two times are not (drift), so that the covariance of block means is the
-sum over tracks of their contributions' products, and a draw of it is that sum with random signs.
+sum over tracks of their contributions' products, and a draw of it is that sum with random signs. Tracks that are too few for regions, such
+as markers on a cable, are regions of their own, whose noise is what they jitter by from frame to frame.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ...datasets.scenario import Scenario
-from ...methods.continuum.sights import LEAST_NOISE, regions_of
+from ...methods.continuum.sights import LEAST_NOISE, jitter, regions_of
 from ..config import DiagnosisConfig
 from .covariance import Layout
 
@@ -51,6 +52,8 @@ class Blocks:
     def of(cls, recording: Scenario, config: DiagnosisConfig, regions: np.ndarray | None = None) -> Blocks:
         """Of fitted frames and of those held out, in bins of their own; ``regions`` (R, 3) m: another recording's, where they are shared.
 
+        Fewer tracks than ``config.fewest`` times the regions are a region each, by their order.
+
         Raises NoTracks for clouds, and where no cell has enough tracks.
         """
         from scipy.sparse import csr_matrix
@@ -60,12 +63,17 @@ class Blocks:
         points, seen = np.nan_to_num(recording.points), recording.visible.copy()
         seen[:, recording.grips[recording.grips >= 0]] = False  # driven markers are told, not predicted
         frames = len(seen)
-        label = regions_of(points[0], config.regions) if regions is None else nearest_of(points[0], regions)
+        single = seen.shape[1] < config.regions * config.fewest
+        if single:
+            label = np.arange(seen.shape[1])
+        else:
+            label = regions_of(points[0], config.regions) if regions is None else nearest_of(points[0], regions)
+        regions = None if single else regions
         count = label.max() + 1 if regions is None else len(regions)
         bins = _bins(frames, recording.split.train_end, config)
         cell = (bins[:, None] * count + label).ravel()
         tracks = np.array([[seen[bins == b][:, label == r].any(0).sum() for r in range(count)] for b in range(bins.max() + 1)])
-        kept = np.flatnonzero(tracks.ravel() >= config.fewest)
+        kept = np.flatnonzero(tracks.ravel() >= (1 if single else config.fewest))
         if not len(kept):
             raise NoTracks(f"no region has {config.fewest} tracks within a bin (scenario {recording.name})")
         row = np.full(tracks.size, -1)
@@ -78,6 +86,17 @@ class Blocks:
         time = np.array([np.flatnonzero(bins == b).mean() for b in range(bins.max() + 1)]) / recording.fps
         fitted = time[when] * recording.fps < recording.split.train_end
         return cls(points, seen, weights, label, bins, kept, middle[region], time[when], fitted, count)
+
+    def only(self, cells) -> Blocks:
+        """Those of its ``cells`` that are among others."""
+        kept = np.isin(self.cells, cells)
+        own = {name: getattr(self, name)[kept] for name in ("weights", "cells", "place", "time", "fitted")}
+        return replace(self, **own)
+
+    @property
+    def is_single(self) -> bool:
+        """Whether each track is a region."""
+        return self.count == self.points.shape[1]
 
     @property
     def regions(self) -> np.ndarray:
@@ -104,8 +123,13 @@ class Blocks:
     def strays(self, path) -> np.ndarray:
         """(N, B) m, what each track adds to the block means that is its own: strays from a linear field of its region in each bin.
 
+        Of tracks that are regions (B, B): the jitter of each mean, which are independent.
+
         path (T, M, 3) m of the reference, by which the tracks' places are told apart from the body's motion.
         """
+        if self.is_single:
+            number = np.diff(self.weights.indptr)
+            return np.diag(np.repeat(jitter(self.points, self.seen) / np.sqrt(number), 3))
         off = np.where(self.seen[..., None], self.points - path[:, : self.points.shape[1]], np.nan)
         found = np.zeros((off.shape[1], len(self.cells), 3))
         regions = self.count

@@ -10,7 +10,7 @@ import numpy as np
 from ...datasets.scenario import Scenario, Split
 from .blocks import Blocks
 
-__all__ = ["Contrast", "comparable"]
+__all__ = ["Contrast", "as_long", "comparable"]
 
 HANDS = 0.005  # m, root mean square over frames: what a robot repeats, and what a tracker of hands sees differently
 BEGINS = 0.01  # m between the middles of the body in frame 0
@@ -64,27 +64,38 @@ def comparable(case: Scenario, sound: Scenario) -> Scenario:
 
     Raises ValueError where frame rate, hands, further inputs, the body's place in frame 0 or the length say that it was another one.
     """
-    count, where = case.frame_count, f" (scenario {sound.name})"
+    where = f" (scenario {sound.name})"
     if sound.fps != case.fps:
         raise ValueError(f"recordings that are compared must have one frame rate, got {case.fps:g} and {sound.fps:g}{where}")
-    if sound.frame_count < count:
-        raise ValueError(
-            f"a sound recording must be as long as the one that it is compared with, {count} frames, got {sound.frame_count}{where}"
-        )
+    sound = as_long(sound, case)
     if sound.controllers.shape[1] != case.controllers.shape[1]:
         hands = f"{case.controllers.shape[1]} and {sound.controllers.shape[1]}"
         raise ValueError(f"recordings that are compared must have the same controllers, got {hands}{where}")
     if case.controllers.shape[1]:
-        apart = float(np.sqrt(((sound.controllers[:count] - case.controllers) ** 2).sum(-1).mean()))
+        apart = float(np.sqrt(((sound.controllers - case.controllers) ** 2).sum(-1).mean()))
         if apart > HANDS:
             raise ValueError(f"hands must be within {1e3 * HANDS:g} mm of those they are compared with, got {1e3 * apart:.1f} mm{where}")
     if (case.actuation is None) != (sound.actuation is None) or (
-        case.actuation is not None and sound.actuation is not None and not np.allclose(case.actuation, sound.actuation[:count])
+        case.actuation is not None and sound.actuation is not None and not np.allclose(case.actuation, sound.actuation)
     ):
         raise ValueError(f"further inputs must be those of the recording they are compared with, and differ{where}")
     middles = [one.points[0][one.visible[0]].mean(0) for one in (case, sound)]
     if (far := float(np.linalg.norm(middles[1] - middles[0]))) > BEGINS:
         raise ValueError(f"bodies must begin within {1e3 * BEGINS:g} mm of each other, got {1e3 * far:.1f} mm{where}")
+    return sound
+
+
+def as_long(sound: Scenario, case: Scenario) -> Scenario:
+    """The first frames of ``sound``, as many as ``case`` has, with its split.
+
+    Raises ValueError where it is shorter.
+    """
+    count = case.frame_count
+    if sound.frame_count < count:
+        raise ValueError(
+            f"a sound recording must be as long as the one that it is compared with, {count} frames, got {sound.frame_count} "
+            f"(scenario {sound.name})"
+        )
     cut = {name: getattr(sound, name) for name in ("points", "visible", "motion_valid", "controllers", "colors", "actuation")}
     cut = {name: None if value is None else value[:count] for name, value in cut.items()}
     return replace(sound, **cut, images=None, tracks=None, split=Split(case.split.train_end, count))

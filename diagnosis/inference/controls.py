@@ -1,8 +1,10 @@
 """Frozen sound recordings, among whose statistics those of a recording are judged.
 
-Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, so that
-sound recordings lie lower among members than members do. Split-conformal calibration (Vovk et al. 2005) asks instead how many of n
-recordings known to be sound, of the same kind of body and weighed with the same config, have a statistic as large.
+Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, and sound
+recordings hold errors that no member has. So each statistic, in deviations of its members', is compared with those of n recordings known to
+be sound, of the same kind of body and weighed with the same config. They are taken as draws of a Student t whose place, scale and degrees
+of freedom are the likeliest (Lange, Little & Taylor 1989): a sound recording that lies far out then makes the tail heavier and leaves the
+rest alone, and p goes on where ranks among n end at 1 / (1 + n).
 
 ``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``.
 """
@@ -13,7 +15,7 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -21,18 +23,51 @@ import numpy as np
 from ...datasets.temporary import replacing
 from ..config import DiagnosisConfig
 
-__all__ = ["FILE", "Controls", "conformal", "frozen", "main"]
+__all__ = ["FILE", "Controls", "Tail", "frozen", "main"]
 
 FILE = Path(__file__).parent / "controls.json"
+DEGREES = (2.0, 3.0, 4.0, 6.0, 10.0, 30.0)  # of freedom: 2 has no variance, 30 is a normal distribution
+STEPS = 100  # of expectation and maximisation: the slowest moves by less than 1e-6 then
 DECIDING = ("level", "motion", "refitted", "steps", "parallel", "members")  # fields that change no statistic of a recording
 
 
-def conformal(value: float, controls: Sequence[float]) -> float:
-    """p of ``value`` among those of sound ``controls``, with which it is exchangeable if it is sound.
+@dataclass(frozen=True)
+class Tail:
+    """A Student t of one statistic over sound recordings."""
 
-    (1 + how many are as large) / (1 + all): right for any distribution, and at least 1 / (1 + n).
-    """
-    return (1 + sum(c >= value for c in controls)) / (1 + len(controls))
+    place: float
+    scale: float
+    degrees: float
+
+    @classmethod
+    def of(cls, values) -> Tail:
+        """The likeliest of ``values`` (n,), by expectation and maximisation for each of ``DEGREES``."""
+        from scipy.stats import t
+
+        values = np.asarray(values, float)
+        found = [_located(values, degrees) for degrees in DEGREES]
+        return max(found, key=lambda one: float(t.logpdf(values, one.degrees, one.place, one.scale).sum()))
+
+    def beyond(self, value: float) -> float:
+        """p that a sound recording's is as large."""
+        from scipy.stats import t
+
+        return float(t.sf(value, self.degrees, self.place, self.scale))
+
+    def at(self, p: float) -> float:
+        """The value that a sound recording's exceeds with probability ``p``."""
+        from scipy.stats import t
+
+        return float(t.isf(p, self.degrees, self.place, self.scale))
+
+
+def _located(values, degrees: float) -> Tail:
+    place, square = float(np.median(values)), float(np.var(values)) + 1e-12
+    for _ in range(STEPS):
+        weights = (degrees + 1) / (degrees + (values - place) ** 2 / square)
+        place = float(weights @ values / weights.sum())
+        square = float(weights @ (values - place) ** 2) / len(values) + 1e-12
+    return Tail(place, float(np.sqrt(square)), degrees)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +78,7 @@ class Controls:
 
     @classmethod
     def of(cls, kind: str, config: DiagnosisConfig) -> Controls | None:
-        """Those of a ``kind`` of body; None where they are too few to reach the level, or were weighed otherwise or with more members."""
+        """Those of a ``kind`` of body; None where they are too few to hold one beyond the level, or weighed otherwise."""
         known = _known()
         own = known["kinds"].get(kind, [])
         if 1 / (1 + len(own)) >= config.level or config.members < known["config"]["members"]:
@@ -52,21 +87,18 @@ class Controls:
             return None
         return cls(np.array([row["standardised"] for row in own], float))
 
-    def combined(self, standardised) -> np.ndarray:
-        """(...) of (..., 2): the larger of the two, each in deviations of the controls' own."""
-        mean, deviation = self.standardised.mean(0), self.standardised.std(0, ddof=1)
-        return np.max((np.asarray(standardised, float) - mean) / deviation, axis=-1)
+    @cached_property
+    def tails(self) -> tuple[Tail, ...]:
+        return tuple(Tail.of(values) for values in self.standardised.T)
 
     def p(self, standardised) -> float:
-        """Of a recording's two statistics."""
-        return conformal(float(self.combined(standardised)), self.combined(self.standardised).tolist())
+        """Of a recording's two statistics: of the more surprising one, that either is."""
+        least = min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=True))
+        return 1 - (1 - least) ** len(self.tails)
 
     def alarming(self, level: float) -> float:
         """The largest score, in deviations of members', above which p is below ``level`` whatever the misfit."""
-        ordered = np.sort(self.combined(self.standardised))[::-1]
-        most = int(np.ceil(level * (1 + len(ordered)))) - 2  # controls that may be as large
-        mean, deviation = self.standardised[:, 1].mean(), self.standardised[:, 1].std(ddof=1)
-        return float(mean + deviation * ordered[most])
+        return self.tails[1].at(1 - np.sqrt(1 - level))
 
 
 @cache

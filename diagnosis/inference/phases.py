@@ -32,6 +32,7 @@ class Evidence:
 
     residual   (B,) m, of the sound twin, absorbed as members are; ``noisy`` (K, B) m: members' residuals as they would have been seen
     posterior  (B, B) m^2, of predictions, by the fit's covariance
+    from_recordings  whether members are sound recordings, see ``peers``
     """
 
     forward: Forward
@@ -42,6 +43,7 @@ class Evidence:
     noisy: np.ndarray
     posterior: np.ndarray
     catalogue: tuple[Signature, ...]
+    from_recordings: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +144,7 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     tell = progress or (lambda _: None)
     e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
     prior = chosen(scatter, config, e.noisy)
-    alone = len(e.forward.simulators) == 1  # as controls were
+    alone = len(e.forward.simulators) == 1 and not e.from_recordings  # as controls were
     controls = Controls.of(e.forward.simulators[0].scene.body.kind, config) if alone else None
     test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, controls=controls)
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")

@@ -24,7 +24,7 @@ __all__ = ["Significance", "fitted_rows", "predictive", "significance"]
 class Significance:
     """p of the recordings being a sound twin's, by controls or members alone; the statistics of the recordings and of K members.
 
-    p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls`` or they are too few for it
+    p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
     standardised  (2,) the recordings' statistics in deviations of the members': what is pooled over controls
     """
@@ -48,9 +48,7 @@ class Significance:
 
         logs = np.log(np.maximum(self.largests, 1e-12))
         count = len(logs)
-        far = float(t.isf(1 - np.sqrt(1 - level), count - 1))
-        if self.controls:
-            far = min(far, self.controls.alarming(level))
+        far = self.controls.alarming(level) if self.controls else float(t.isf(1 - np.sqrt(1 - level), count - 1))
         return float(np.exp(logs.mean() + far * logs.std(ddof=1) * np.sqrt(1 + 1 / count)))
 
 
@@ -96,7 +94,7 @@ def significance(
     (p_misfit, far_misfit), (p_scan, far_scan) = predictive(misfit, misfits), predictive(largest, largests)
     p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
     standardised = far_misfit, far_scan
-    p = min(p_members, controls.p(standardised)) if controls else p_members  # n controls say no less than 1 / (1 + n)
+    p = controls.p(standardised) if controls else p_members
     return Significance(
         p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls
     )

@@ -1,4 +1,4 @@
-"""Frozen controls: what split-conformal calibration promises, and what is refused."""
+"""Frozen controls: what their tails promise, and what is refused."""
 
 import json
 from dataclasses import replace
@@ -6,27 +6,37 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import kstest
+from scipy.stats import kstest, t
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.inference import controls
-from twinbench.diagnosis.inference.controls import Controls, conformal, frozen, main
+from twinbench.diagnosis.inference.controls import Controls, Tail, frozen, main
 
 
-def test_a_conformal_p_is_never_too_small_whatever_the_distribution():
-    # of n + 1 exchangeable values one is among the k largest with probability k / (n + 1)
-    random = np.random.default_rng(5)
-    p = [conformal(draw[0], draw[1:]) for draw in random.standard_cauchy((2000, 20))]
-    for level in (0.05, 0.1, 0.5):
-        assert np.mean(np.array(p) <= level) == pytest.approx(level, abs=4 * np.sqrt(level / 2000))
-    assert conformal(9.0, [1.0, 2.0, 3.0]) == 0.25
+@pytest.mark.parametrize("degrees", [2.0, 4.0, 30.0])
+def test_a_tail_is_that_of_its_draws(degrees):
+    # 20,000 draws of a known Student t: place and scale to 4 standard errors (1.5 / sqrt(n) at most), tails to 10 % at 1 %
+    draws = t.rvs(degrees, loc=0.7, scale=1.3, size=20000, random_state=1)
+    tail = Tail.of(draws)
+    assert tail.degrees == degrees
+    assert (tail.place, tail.scale) == pytest.approx((0.7, 1.3), abs=0.05)
+    assert tail.beyond(t.isf(0.01, degrees, 0.7, 1.3)) == pytest.approx(0.01, rel=0.1)
+    assert tail.beyond(tail.at(0.03)) == pytest.approx(0.03)
+
+
+def test_one_recording_far_out_leaves_the_rest_alone():
+    # 36 normal draws, one of them moved to 8: a normal's scale would be 1.7 times as large
+    draws = np.random.default_rng(4).normal(size=36)
+    moved = np.append(draws[:-1], 8.0)
+    assert Tail.of(moved).scale < 1.15 * Tail.of(draws).scale
+    assert 1e-4 < Tail.of(moved).beyond(8.0) < 0.03
 
 
 def test_p_values_of_two_unlike_statistics_are_uniform():
     random = np.random.default_rng(6)
-    draws = np.stack([random.normal(3.0, 0.2, (400, 61)), random.exponential(2.0, (400, 61))], 2)
+    draws = np.stack([random.normal(3.0, 0.2, (600, 61)), random.standard_t(3, (600, 61))], 2)
     p = np.array([Controls(d[1:]).p(d[0]) for d in draws])
-    # between the steps of 1 / 61, and since mean and deviation leave the recording out, a little beside them
-    assert kstest(p - random.uniform(0, 1 / 61, 400), "uniform").pvalue > 0.01
+    assert kstest(p, "uniform").statistic < 1.63 / np.sqrt(600) + 1 / 61  # Kolmogorov's 1 %, and what 60 controls leave of place and scale
+    assert np.mean(p < 0.03) == pytest.approx(0.03, abs=4 * np.sqrt(0.03 / 600))
 
 
 @pytest.mark.parametrize("count", [33, 40, 66, 99, 100])
@@ -58,7 +68,7 @@ def test_sound_rows_are_frozen_and_used_for_their_kind_and_config_alone(tmp_path
     assert Controls.of("solid", config) is None
     assert Controls.of("rope", replace(config, cells=2.0)) is None
     assert Controls.of("rope", replace(config, members=8)) is None
-    assert Controls.of("rope", replace(config, level=0.02)) is None  # 40 controls say no less than 1 / 41
+    assert Controls.of("rope", replace(config, level=0.02)) is None  # of 40, one is more than 2 %
 
 
 def test_a_table_that_tells_nothing_is_refused(tmp_path):

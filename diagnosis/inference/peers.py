@@ -1,0 +1,96 @@
+"""Sound recordings as members: what a twin misses in each of them is how far it is off by itself.
+
+Two rods of a cable differ by a tenth of what either strays from the real one, so that members of other mesh and material say next to
+nothing of a real cable. Recordings of the same markers in which nothing is missing do: the twin is fitted to them, a refit of it is taken
+from what it misses in each as it is from the one that is asked, and what is left, marker by marker and bin by bin, are draws of its error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+
+from ...datasets.scenario import Scenario
+from ...methods.continuum.config import Config
+from ...methods.continuum.joint import placed
+from ...methods.continuum.twin import ContinuumTwin
+from ..config import DiagnosisConfig
+from .absorption import absorb
+from .contrast import as_long
+from .covariance import Scatter
+from .forward import Forward
+from .phases import Evidence
+from .scan import signatures
+
+__all__ = ["FEWEST", "compared", "there"]
+
+FEWEST = 8  # sound recordings: a variance of 8 is known to 27 %
+
+
+def there(twin: ContinuumTwin, recording: Scenario) -> ContinuumTwin:
+    """``twin`` in another recording of its markers, which starts as that one's first frames say; its posterior goes along.
+
+    Raises ValueError for a twin with numbers of single recordings.
+    """
+    own = [u["name"] for u in twin.posterior["unknowns"] if u["name"].startswith("rec")]
+    if own:
+        raise ValueError(f"a twin must have no numbers of one recording alone to be laid elsewhere, got {', '.join(own)}")
+    seen = recording.observed()
+    scene = placed(seen, twin.scene.body.laid(seen), Config(contact="on" if twin.scene.contact else "off"))
+    return replace(twin, scene=scene)
+
+
+def compared(
+    twin: ContinuumTwin,
+    case: Scenario,
+    sound: Sequence[Scenario],
+    config: DiagnosisConfig,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> Evidence:
+    """The evidence of ``case``, whose ``sound`` recordings, to which ``twin`` was fitted, are the members.
+
+    Of all recordings the same markers in the same frames are looked at, first those of the case. Raises ValueError where a sound one is
+    shorter, for fewer than ``FEWEST`` of them, and where no marker is free in all.
+    """
+    tell = progress or (lambda _: None)
+    if len(sound) < FEWEST:
+        raise ValueError(
+            f"how far twins stray from markers is told by at least {FEWEST} recordings in which nothing is missing, got {len(sound)} "
+            f"(scenario {case.name})"
+        )
+    forward = Forward.of(there(twin, case), [case], config)
+    each = [replace(Forward.of(there(twin, cut), [cut], config), cost=forward.cost) for cut in (as_long(one, case) for one in sound)]
+    each.append(forward)
+    common = reduce(np.intersect1d, [one.blocks[0].cells for one in each])
+    if not len(common):
+        raise ValueError(f"some markers must be free in all recordings, got none (scenario {case.name})")
+    each = [replace(one, blocks=(one.blocks[0].only(common),)) for one in each]
+    forward = each[-1]
+    nowhere = np.zeros(len(forward.unknowns))
+    references = np.array([one.at(nowhere)[0] for one in each])
+    if not np.isfinite(references[-1]).all():
+        raise ValueError(f"the twin must not diverge in its own recordings (scenario {case.name})")
+    slopes = np.array([one.slopes(row) for one, row in zip(each, references, strict=True)])
+    tell(f"slopes of {slopes.shape[2]} unknowns for {references.shape[1]} means of markers, in {len(each)} recordings")
+    noise, _ = forward.noise([forward.paths([forward.values(nowhere)])[0][0]])
+    sd = np.where(forward.layout.fitted, np.sqrt(np.diag(noise)), np.inf)
+
+    def run(shifts):
+        return np.concatenate([one.at(shift) for one, shift in zip(each, shifts, strict=True)])
+
+    left, _ = absorb([one.data for one in each], references, slopes, sd, run, forward.bounds, rounds=config.rounds)
+    kept = np.isfinite(left[:-1]).all(1)
+    if kept.sum() < FEWEST:
+        raise ValueError(f"the twin must not diverge in {FEWEST} sound recordings, got {int(kept.sum())} (scenario {case.name})")
+    members = left[:-1][kept]
+    tell(f"{len(members)} sound recordings")
+    catalogue = signatures(forward, references[-1], config)
+    tell(f"signatures of {len(catalogue)} candidates")
+    ways = slopes[-1] / forward.sds
+    scatter = Scatter(members, noise, slopes[-1], forward.layout)
+    posterior = ways @ forward.covariance @ ways.T
+    return Evidence(forward, references[-1], slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), from_recordings=True)

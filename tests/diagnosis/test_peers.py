@@ -1,0 +1,108 @@
+"""Markers beside sound recordings of them: what is a null, what is found, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cables import cable
+from twinbench.datasets.scenario import Scenario, Split
+from twinbench.diagnosis.asking import ask, asked
+from twinbench.diagnosis.config import DiagnosisConfig
+from twinbench.diagnosis.inference.blocks import Blocks
+from twinbench.diagnosis.inference.peers import FEWEST, compared, there
+from twinbench.diagnosis.suitable import is_marked
+from twinbench.methods.continuum.rods import Rod
+from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.simulate import Simulator
+from twinbench.methods.continuum.twin import ContinuumTwin
+from twinbench.physics.terms import Wind
+
+TRUE = dict(bending_stiffness=0.02, bending_time=0.02, torsion_ratio=0.7, drag_damping=0.3)
+FRAMES, TRAIN, FPS, NOISE = 36, 26, 60.0, 2e-4
+CONFIG = DiagnosisConfig(times=3, held_out=1, members=8, refitted=2, steps=6)
+
+
+def recording(seed, extra=(), driven=(0, 1, 7, 8), **more) -> Scenario:
+    """Nine markers between two robots, one of which swings them in a way of its own; its natural curvature strays from the twin's."""
+    random = np.random.default_rng(seed)
+    x = np.linspace(0, 0.7, 9)
+    start = np.stack([x, np.zeros(9), -0.25 * np.sin(np.pi * x / 0.7)], 1)
+    t = np.arange(FRAMES)[:, None] / FPS
+    sway = random.uniform(-0.1, 0.1, 3) * np.sin(t * random.uniform(4, 8, 3))
+    led = np.repeat(start[None, [0, 1, 7, 8]], FRAMES, 0)
+    led[:, 2:] += sway[:, None]
+    seen = cable(np.repeat(start[None], FRAMES, 0), (0, 1, 7, 8), controllers=led, fps=FPS, name=f"swing{seed}")
+    values = TRUE | dict(natural_a0=0.3 * random.normal()) | more
+    path = Simulator(Scene.of(seen, Rod.marked(seen)), extra).run([values], FRAMES)[0][:, :9]
+    kept = [(0, 1, 7, 8).index(k) for k in driven]
+    known = {name: getattr(seen, name) for name in ("visible", "motion_valid", "interior", "gravity", "fps", "name")}
+    told = dict(controllers=led[:, kept], grips=np.array(driven), split=Split(TRAIN, FRAMES))
+    return Scenario(points=path + random.normal(0, NOISE, path.shape), **known, **told)
+
+
+@pytest.fixture(scope="module")
+def sound():
+    return [recording(seed) for seed in range(10)]
+
+
+@pytest.fixture(scope="module")
+def twin(sound):
+    seen = sound[0].observed()
+    scene = Scene.of(seen, Rod.marked(seen))
+    unknowns = [u for u in Rod.unknowns([scene.body]) if u.name in ("bending_stiffness", "bending_time")]
+    posterior = dict(unknowns=[vars(u) for u in unknowns], scaled=[u.encode(TRUE[u.name]) for u in unknowns])
+    return ContinuumTwin(scene, TRUE, posterior=posterior | dict(covariance=(0.01 * np.eye(2)).tolist()))
+
+
+def test_few_tracks_are_regions_each_and_jitter_is_their_noise(sound):
+    # 0.2 mm a coordinate: the mean of n frames has 0.2 / sqrt(n), to the 20 % to which 5 x 36 differences and motion between frames tell it
+    one = Blocks.of(sound[0], CONFIG)
+    assert one.is_single and set(one.cells % one.count) == {2, 3, 4, 5, 6}  # what is driven says nothing
+    deviations = np.sqrt(np.diag(one.noise(one.strays(sound[0].points))))
+    frames = np.repeat([np.sum(one.bins == c // one.count) for c in one.cells], 3)
+    least = 5e-4 / np.sqrt(frames)  # what exact tracks are given
+    np.testing.assert_allclose(deviations, np.maximum(least, NOISE / np.sqrt(frames)), rtol=0.2)
+
+
+def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
+    # its natural shape strays as theirs do, which no parameter of the twin takes up
+    p = [asked([recording(seed)], CONFIG, fitted_on=sound, twin=twin).answer.test.p for seed in (20, 21, 22)]
+    assert min(p) > 0.01 and np.median(p) > 0.05
+
+
+def test_what_sound_ones_have_not_is_found_and_named(twin, sound):
+    found = asked([recording(23, (Wind(),), wind_y=3.0, wind_speed=3.0)], CONFIG, fitted_on=sound, twin=twin)
+    assert found.answer.test.p < 1e-3
+    assert next(iter(found.answer.probabilities)) == "wind"
+    assert found.evidence.from_recordings and found.twin.scene.name == "swing23"
+
+
+def test_a_hand_kept_back_is_looked_at_by_the_markers_that_are_free_in_all(twin, sound):
+    evidence = compared(twin, recording(24, driven=(0, 1)), sound, CONFIG)
+    assert set(evidence.forward.blocks[0].cells % 9) == {2, 3, 4, 5, 6}
+    # these are off by ten times what sound recordings leave
+    assert np.sqrt(np.mean(evidence.residual**2)) > 10 * np.sqrt(np.mean(evidence.scatter.left**2))
+
+
+def test_where_it_is_laid_it_starts_as_the_recording_does(twin, sound):
+    placed = there(twin, sound[3])
+    np.testing.assert_allclose(placed.scene.body.structure[:9], sound[3].points[0], atol=1e-9)
+    assert placed.scene.name == "swing3" and placed.values == twin.values and placed.posterior == twin.posterior
+    own = dict(twin.posterior, unknowns=[dict(u, name="rec0_grip0_reach") for u in twin.posterior["unknowns"][:1]])
+    with pytest.raises(ValueError, match=r"no numbers of one recording alone .* rec0_grip0_reach"):
+        there(replace(twin, posterior=own), sound[3])
+
+
+def test_what_cannot_be_compared_is_refused(twin, sound):
+    case = recording(25)
+    assert is_marked(case)
+    with pytest.raises(ValueError, match=rf"at least {FEWEST} recordings .* got 7 \(scenario swing25\)"):
+        compared(twin, case, sound[:7], CONFIG)
+    with pytest.raises(ValueError, match=r"markers are asked one recording at a time, .* got 1 and no others \(scenario swing25\)"):
+        ask([case], config=CONFIG)
+    with pytest.raises(ValueError, match="at least 3 markers seen in frame 0 that no hand drives, got 2"):
+        ask([replace(case, grips=np.arange(7), controllers=case.points[:, :7])], fitted_on=sound, config=CONFIG)
+    first = {name: getattr(sound[0], name)[:30] for name in ("points", "visible", "motion_valid", "controllers")}
+    short = replace(sound[0], **first, split=Split(20, 30))
+    with pytest.raises(ValueError, match=r"as long as the one that it is compared with, 36 frames, got 30 \(scenario swing0\)"):
+        compared(twin, case, [short, *sound[1:]], CONFIG)
