@@ -16,7 +16,6 @@ from ..datasets.temporary import replacing
 from .asking import ask
 from .config import DiagnosisConfig
 from .fit import gaps, mean_error
-from .inference.peers import FEWEST as FEWEST_SOUND
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .keeping import write_tracks, write_twins
 from .locate import clusters
@@ -24,7 +23,7 @@ from .outcome import Outcome
 from .page.document import plain
 from .planner import experiment
 from .report import write_report
-from .suitable import has_continuum, is_marked
+from .suitable import has_continuum
 from .verdict import NONE, Calibration, Decision, alike, calibration, context, decide, readings
 
 __all__ = ["NAMES", "TWINS", "Diagnosis", "affordable", "diagnose", "noise_floor"]
@@ -89,9 +88,9 @@ def diagnose(
     object and all frames of ``fitted_on``, in which nothing is missing, and its own error is told by other sound twins (``asking.ask``);
     "springs" is a net of springs. That one is fitted on the scenario's training frames, or where ``fitted_on`` names other recordings of
     the object on all of theirs; it is then taken as adequate for them, and what this recording adds is what is asked. "auto" is a continuum
-    where the body is a solid or a rope that is tracked all over, recordings are several, or markers have eight of ``fitted_on`` beside
-    them. Held-out frames and ``transfer`` recordings are simulated and never fitted. ``against``, for a continuum: sound recordings of the
-    same command.
+    where the body is a solid or a rope that is tracked all over, or recordings are several. Of markers a continuum is asked beside
+    ``fitted_on`` alone, at least eight of them (``inference.peers``). Held-out frames and ``transfer`` recordings are simulated and never
+    fitted. ``against``, for a continuum: sound recordings of the same command.
     ``preset`` is quick or full, ``weights`` another calibration of the decision on springs than the one that ships.
     Raises ValueError for an unknown twin or preset, what the twin has no use for, or a recording that is too short.
     """
@@ -102,7 +101,7 @@ def diagnose(
     if preset not in PRESETS:
         raise ValueError(f"unknown preset {preset!r}; known: {', '.join(PRESETS)}")
     if twin == "auto":
-        several = len(recordings) != 1 or bool(against) or (len(fitted_on) >= FEWEST_SOUND and is_marked(recordings[0]))
+        several = len(recordings) != 1 or bool(against)
         twin = "continuum" if several or has_continuum(recordings[0]) else "springs"
     if twin == "continuum":
         options: dict[str, Any] = dict(transfer=transfer, fitted_on=fitted_on, against=against, config=MEMBERS[preset])

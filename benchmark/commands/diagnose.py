@@ -38,7 +38,8 @@ class Diagnose(OnCluster):
     """Sound recordings of the same command as CASE: how far it differs from them is asked (--twin continuum)."""
     twin: str = "auto"
     """Which twin is questioned: continuum, with sound twins beside it as a measure; springs, a coarse net as PhysTwin's; or auto: continuum
-    for a solid or a rope that is tracked all over, springs for cloth and markers."""
+    for a solid or a rope that is tracked all over, springs for cloth and markers. Markers on a cable can be asked of a continuum beside
+    eight recordings or more of --fitted-on."""
     preset: str = "quick"
     """How much work: quick or full."""
     device: str = "cpu"

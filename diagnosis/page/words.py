@@ -123,7 +123,7 @@ def improvement(result: dict) -> str:
         error, floor = one.get("baseline"), one.get("noise_floor")
         beside = "" if floor is None else f"; a perfect twin would have {millimetres(floor)}, the noise of the recording"
         said = "" if error is None else f"The mean error of the twin on held-out frames is {millimetres(error)}{beside}."
-        return " ".join(filter(None, (result.get("why"), said)))
+        return " ".join(filter(None, (result.get("why"), said, _sound(result))))
     for split, words in (("heldout", "on held-out frames"), ("transfer", "on an interaction that was never fitted")):
         before, after = (fit.get(split) or {}).get("baseline"), (fit.get(split) or {}).get("extended")
         change = less(before, after)
@@ -131,6 +131,12 @@ def improvement(result: dict) -> str:
             parts.append(f"{words} from {millimetres(before)} to {millimetres(after)} ({change})")
     start = "With the first of them" if result.get("verdict") == "ambiguous" else "With it in the model"
     return f"{start} the mean error goes {', and '.join(parts)}." if parts else ""
+
+
+def _sound(result: dict) -> str:
+    """How far off sound twins are on held-out frames: why an error above the noise may say nothing."""
+    far = [b["representation"] for b in result.get("budget") or [] if not b["fitted"]]
+    return f"Sound twins, which lack nothing, stray by up to {millimetres(max(far) / 1000)} there." if far else ""
 
 
 def headline(result: dict) -> str:

@@ -15,7 +15,7 @@ from twinbench.methods.continuum.rods import Rod
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.twin import ContinuumTwin
-from twinbench.physics.terms import Wind
+from twinbench.physics.terms import HiddenTether, Wind
 
 TRUE = dict(bending_stiffness=0.02, bending_time=0.02, torsion_ratio=0.7, drag_damping=0.3)
 FRAMES, TRAIN, FPS, NOISE = 36, 26, 60.0, 2e-4
@@ -75,6 +75,17 @@ def test_what_sound_ones_have_not_is_found_and_named(twin, sound):
     assert found.answer.test.p < 1e-3
     assert next(iter(found.answer.probabilities)) == "wind"
     assert found.evidence.from_recordings and found.twin.scene.name == "swing23"
+
+
+def test_what_holds_a_cable_is_found_where_it_does(twin, sound):
+    # tied to where it was in frame 0 at its sixth marker, one of five that are free
+    where = recording(26).points[0, 5]
+    tied = {f"tether_{part}{axis}": c for part in ("", "anchor_") for axis, c in zip("xyz", where, strict=True)}
+    case = recording(26, (HiddenTether(),), hidden_tether=2000.0, tether_within=0.03, **tied)
+    found = asked([case], CONFIG, fitted_on=sound, twin=twin).answer
+    held = next(n for n in found.named if n.name == "hidden_tether")
+    assert found.test.p < 1e-3 and next(iter(found.probabilities)) == "hidden_tether"
+    assert np.linalg.norm(np.subtract(held.place, where)) < 0.01
 
 
 def test_a_hand_kept_back_is_looked_at_by_the_markers_that_are_free_in_all(twin, sound):

@@ -308,6 +308,10 @@ def test_numbers_in_words():
     fit = {"heldout": {"baseline": 0.01, "extended": 0.002}}
     assert "80% less" in improvement({"effect": "wind", "fit": fit}) and "is 10.0 mm." in improvement({"effect": None, "fit": fit})
     assert improvement({}) == "" and improvement({"effect": "wind", "fit": {"heldout": {"baseline": 0.01, "extended": None}}}) == ""
+    parts = [{"fitted": fitted, "representation": far} for fitted, far in ((True, 20.0), (False, 3.0), (False, 4.5))]  # mm
+    assert improvement({"effect": None, "fit": fit, "budget": parts}).endswith(
+        "Sound twins, which lack nothing, stray by up to 4.50 mm there."
+    )
 
 
 # The page in a browser ------------------------------------------------------------------------------------------------
