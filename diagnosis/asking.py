@@ -132,8 +132,9 @@ def ask(
 
     ``transfer`` recordings are simulated with the twin as it was and with what was named, and never fitted or chosen by. ``fitted_on`` are
     recordings in which nothing is missing: what ``recordings`` have beyond them is asked. ``against`` are such of the same command: what a
-    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. Raises ValueError for
-    recordings that do not suit (``suitable``, ``inference.contrast.comparable``), or both kinds at once.
+    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. ``twin``: see ``asked``.
+    Raises ValueError for recordings that do not suit (``suitable``, ``inference.contrast.comparable``, ``inference.peers.compared``), or
+    both kinds at once.
     """
     begun, config = time.time(), config or DiagnosisConfig()
     if against and (fitted_on or len(recordings) != 1):
@@ -142,7 +143,7 @@ def ask(
     if is_marked(recordings[0]) and not against and (len(recordings) != 1 or not fitted_on):
         raise ValueError(
             "markers are asked one recording at a time, beside others in which nothing is missing (fitted_on) or of the same command "
-            f"(against), got {len(recordings)} and no others (scenario {recordings[0].name})"
+            f"(against), got {len(recordings)} beside {len(fitted_on)} (scenario {recordings[0].name})"
         )
     options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, twin=twin, seed=seed, device=device, progress=progress)
     found = asked(recordings, config, **options)
