@@ -17,11 +17,12 @@ from ..methods.continuum.estimate import own_values
 from ..methods.continuum.twin import ContinuumTwin
 from ..methods.continuum.unknowns import Unknown
 from .config import DiagnosisConfig
+from .inference.blocks import is_marked
 from .inference.contrast import comparable
 from .inference.peers import compared, there
 from .inference.phases import Answer, Evidence, Named, gathered, weighed
 from .outcome import Outcome
-from .suitable import is_marked, suitable
+from .suitable import suitable
 
 __all__ = ["Asked", "ask", "asked", "sound_twin", "told_twin"]
 
@@ -83,7 +84,7 @@ def asked(
     twin: one that was fitted so before, which is not fitted again.
     """
     progress("fitting a sound twin")
-    if fitted_on and is_marked(recordings[0]):
+    if fitted_on and is_marked(recordings[0], config):
         twin = twin or sound_twin([_whole(one) for one in fitted_on], config, seed=seed, device=device)
         evidence = compared(twin, recordings[0], fitted_on, config, progress=progress)
         twin = there(twin, recordings[0])
@@ -122,7 +123,6 @@ def ask(
     transfer: Sequence[Scenario] = (),
     fitted_on: Sequence[Scenario] = (),
     against: Sequence[Scenario] = (),
-    twin: ContinuumTwin | None = None,
     config: DiagnosisConfig | None = None,
     seed: int = 0,
     device: str = "cpu",
@@ -132,20 +132,14 @@ def ask(
 
     ``transfer`` recordings are simulated with the twin as it was and with what was named, and never fitted or chosen by. ``fitted_on`` are
     recordings in which nothing is missing: what ``recordings`` have beyond them is asked. ``against`` are such of the same command: what a
-    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. ``twin``: see ``asked``.
-    Raises ValueError for recordings that do not suit (``suitable``, ``inference.contrast.comparable``, ``inference.peers.compared``), or
-    both kinds at once.
+    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. Raises ValueError for
+    recordings that do not suit (``suitable``, ``inference.contrast.comparable``, ``inference.peers.compared``), or both kinds at once.
     """
     begun, config = time.time(), config or DiagnosisConfig()
     if against and (fitted_on or len(recordings) != 1):
         raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
-    suitable([*recordings, *fitted_on, *against], transfer)
-    if is_marked(recordings[0]) and not against and (len(recordings) != 1 or not fitted_on):
-        raise ValueError(
-            "markers are asked one recording at a time, beside others in which nothing is missing (fitted_on) or of the same command "
-            f"(against), got {len(recordings)} beside {len(fitted_on)} (scenario {recordings[0].name})"
-        )
-    options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, twin=twin, seed=seed, device=device, progress=progress)
+    suitable(recordings, transfer, fitted_on=fitted_on, against=against, config=config)
+    options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
     found = asked(recordings, config, **options)
     roles = dict(case=recordings, fitted_on=fitted_on, against=against, transfer=transfer)
     parts = [(one, role) for role, group in roles.items() for one in group]

@@ -9,8 +9,9 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..methods.continuum.bodies import Body, bodies_of
 from .config import DiagnosisConfig
+from .inference.blocks import is_marked
 
-__all__ = ["has_continuum", "is_marked", "suitable"]
+__all__ = ["has_continuum", "suitable"]
 
 FRAMES = 12  # train frames: eight bins of fewer are single frames, whose noise is no mean's
 POINTS = 20  # tracked points that are seen in frame 0: two regions of ten
@@ -34,17 +35,28 @@ def has_continuum(one: Scenario) -> bool:
         return False
 
 
-def is_marked(one: Scenario) -> bool:
-    """Whether tracks are so few that each counts for itself: markers, not points of a skin."""
-    return one.points.shape[1] < DiagnosisConfig.regions * DiagnosisConfig.fewest
-
-
-def suitable(recordings: Sequence[Scenario], transfer: Sequence[Scenario] = ()) -> None:
-    """Raises ValueError for recordings that no verdict can rest on, or that are not of one object."""
+def suitable(
+    recordings: Sequence[Scenario],
+    transfer: Sequence[Scenario] = (),
+    *,
+    fitted_on: Sequence[Scenario] = (),
+    against: Sequence[Scenario] = (),
+    config: DiagnosisConfig | None = None,
+) -> None:
+    """Raises ValueError for recordings that are not of one object, or that no verdict can rest on, be it alone or beside others: of the
+    same command (``against``), or in which nothing is missing (``fitted_on``).
+    """
     if not recordings:
         raise ValueError("at least one recording must be given, got none")
+    first, config = recordings[0], config or DiagnosisConfig()
+    if is_marked(first, config) and not against and (len(recordings) != 1 or not fitted_on):
+        raise ValueError(
+            "markers are asked one recording at a time, beside others in which nothing is missing (fitted_on) or of the same command "
+            f"(against), got {len(recordings)} beside {len(fitted_on)} (scenario {first.name})"
+        )
+    recordings = [*recordings, *fitted_on, *against]
     for one in (*recordings, *transfer):
-        _enough(one)
+        _enough(one, config)
     for k, one in enumerate(transfer):
         for other in (*recordings, *transfer[:k]):
             if _same(one, other):
@@ -53,23 +65,23 @@ def suitable(recordings: Sequence[Scenario], transfer: Sequence[Scenario] = ()) 
         for other in recordings[:k]:
             if _same(one, other):
                 raise ValueError(f"recordings must differ, got {other.name} twice (scenario {one.name})")
-    first = _body(recordings[0])
+    body = _body(first)
     for one in (*recordings[1:], *transfer):
-        _alike(first, recordings[0], one)
+        _alike(body, first, one)
 
 
-def _enough(one: Scenario) -> None:
+def _enough(one: Scenario, config: DiagnosisConfig) -> None:
     if not one.correspond:
         raise ValueError(f"points must correspond from frame to frame for a diagnosis (scenario {one.name})")
     if one.split.train_end < FRAMES:
         raise ValueError(f"a diagnosis needs at least {FRAMES} train frames, got {one.split.train_end} (scenario {one.name})")
     seen = one.points[0][one.visible[0]]
-    free = np.setdiff1d(np.flatnonzero(one.visible[0]), one.grips)
-    if (one.grips >= 0).any() and len(free) < MARKERS:
+    marked, free = is_marked(one, config), np.setdiff1d(np.flatnonzero(one.visible[0]), one.grips)
+    if marked and len(free) < MARKERS:
         raise ValueError(
             f"a diagnosis needs at least {MARKERS} markers seen in frame 0 that no hand drives, got {len(free)} (scenario {one.name})"
         )
-    if not (one.grips >= 0).any() and len(seen) < POINTS:
+    if not marked and len(seen) < POINTS:
         raise ValueError(f"a diagnosis needs at least {POINTS} points seen in frame 0, got {len(seen)} (scenario {one.name})")
     if (share := float(one.visible[: one.split.train_end].mean())) < SEEN:
         raise ValueError(f"points must be seen in at least {SEEN:.0%} of train frames, got {share:.0%} (scenario {one.name})")

@@ -2,8 +2,8 @@
 
 The noise is told by the tracks themselves: what each strays from a linear field of its region, which no twin of a body resolves either.
 Strays of different tracks are independent, those of one track at two times are not (drift), so that the covariance of block means is the
-sum over tracks of their contributions' products, and a draw of it is that sum with random signs. Tracks that are too few for regions, such
-as markers on a cable, are regions of their own, whose noise is what they jitter by from frame to frame.
+sum over tracks of their contributions' products, and a draw of it is that sum with random signs. Markers on a
+cable, too few for regions, are regions of their own, whose noise is what they jitter by from frame to frame.
 """
 
 from __future__ import annotations
@@ -18,13 +18,18 @@ from ...methods.continuum.sights import LEAST_NOISE, jitter, regions_of
 from ..config import DiagnosisConfig
 from .covariance import Layout
 
-__all__ = ["Blocks", "NoTracks"]
+__all__ = ["Blocks", "NoTracks", "is_marked"]
 
 FIELD = 4  # columns of a linear field in space
 
 
 class NoTracks(ValueError):
     """A recording has no tracks, or too few, to take means of."""
+
+
+def is_marked(recording: Scenario, config: DiagnosisConfig) -> bool:
+    """Whether tracks are markers of which hands drive some, too few to make regions of: each counts for itself."""
+    return bool((recording.grips >= 0).any()) and recording.points.shape[1] < config.regions * config.fewest
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +57,7 @@ class Blocks:
     def of(cls, recording: Scenario, config: DiagnosisConfig, regions: np.ndarray | None = None) -> Blocks:
         """Of fitted frames and of those held out, in bins of their own; ``regions`` (R, 3) m: another recording's, where they are shared.
 
-        Fewer tracks than ``config.fewest`` times the regions are a region each, by their order.
+        Markers (``is_marked``) are a region each, by their order.
 
         Raises NoTracks for clouds, and where no cell has enough tracks.
         """
@@ -63,7 +68,7 @@ class Blocks:
         points, seen = np.nan_to_num(recording.points), recording.visible.copy()
         seen[:, recording.grips[recording.grips >= 0]] = False  # driven markers are told, not predicted
         frames = len(seen)
-        single = seen.shape[1] < config.regions * config.fewest
+        single = is_marked(recording, config)
         if single:
             label = np.arange(seen.shape[1])
         else:

@@ -157,6 +157,19 @@ class Forward:
         self.cost.seconds += time.process_time() - begun
         return found
 
+    def reference(self) -> tuple[list[np.ndarray], np.ndarray]:
+        """(R paths (T, M, 3) m, the block means (B,) m of them) where the fit ended. Raises ValueError where the twin diverges there."""
+        paths = [p[0] for p in self.paths([self.values(np.zeros(len(self.unknowns)))])]
+        found = self.mixed(np.concatenate([b.means(p[None])[0] for b, p in zip(self.blocks, paths, strict=True)]))
+        if not np.isfinite(found).all():
+            raise ValueError(f"the twin must not diverge in its own recordings (scenario {self.recordings[0].name})")
+        return paths, found
+
+    def posterior(self, slopes) -> np.ndarray:
+        """(B, B) m^2 of predictions, by the fit's covariance and ``slopes`` (B, n) m for a prior standard deviation of each unknown."""
+        each = slopes / self.sds
+        return each @ self.covariance @ each.T
+
     def rows(self, rows: Sequence[Mapping[str, float]]) -> np.ndarray:
         """(K, B) m, block means; all NaN of a run that diverged."""
         return self.mixed(np.concatenate([b.means(p) for b, p in zip(self.blocks, self.paths(rows), strict=True)], 1))

@@ -1,8 +1,8 @@
 """Sound recordings as members: what a twin misses in each of them is how far it is off by itself.
 
-Two rods of a cable differ by a tenth of what either strays from the real one, so that members of other mesh and material say next to
-nothing of a real cable. Recordings of the same markers in which nothing is missing do: the twin is fitted to them, a refit of it is taken
-from what it misses in each as it is from the one that is asked, and what is left, marker by marker and bin by bin, are draws of its error.
+All rods lack what a real cable has and a rod has not, so that members of other material say little of how far either strays from it.
+Recordings of the same markers in which nothing is missing do: the twin is fitted to them, a refit of it is taken from what it misses in
+each as it is from the one that is asked, and what is left, marker by marker and bin by bin, are draws of its error.
 """
 
 from __future__ import annotations
@@ -70,13 +70,11 @@ def compared(
         raise ValueError(f"some markers must be free in all recordings, got none (scenario {case.name})")
     each = [replace(one, blocks=(one.blocks[0].only(common),)) for one in each]
     forward = each[-1]
-    nowhere = np.zeros(len(forward.unknowns))
-    references = np.array([one.at(nowhere)[0] for one in each])
-    if not np.isfinite(references[-1]).all():
-        raise ValueError(f"the twin must not diverge in its own recordings (scenario {case.name})")
+    paths, reference = forward.reference()
+    references = np.array([*(one.at(np.zeros(len(forward.unknowns)))[0] for one in each[:-1]), reference])
     slopes = np.array([one.slopes(row) for one, row in zip(each, references, strict=True)])
     tell(f"slopes of {slopes.shape[2]} unknowns for {references.shape[1]} means of markers, in {len(each)} recordings")
-    noise, _ = forward.noise([forward.paths([forward.values(nowhere)])[0][0]])
+    noise, _ = forward.noise(paths)
     sd = np.where(forward.layout.fitted, np.sqrt(np.diag(noise)), np.inf)
 
     def run(shifts):
@@ -88,9 +86,8 @@ def compared(
         raise ValueError(f"the twin must not diverge in {FEWEST} sound recordings, got {int(kept.sum())} (scenario {case.name})")
     members = left[:-1][kept]
     tell(f"{len(members)} sound recordings")
-    catalogue = signatures(forward, references[-1], config)
+    catalogue = signatures(forward, reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
-    ways = slopes[-1] / forward.sds
     scatter = Scatter(members, noise, slopes[-1], forward.layout)
-    posterior = ways @ forward.covariance @ ways.T
-    return Evidence(forward, references[-1], slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), from_recordings=True)
+    posterior = forward.posterior(slopes[-1])
+    return Evidence(forward, reference, slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), from_recordings=True)

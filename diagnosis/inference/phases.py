@@ -111,11 +111,7 @@ def gathered(
     """
     tell = progress or (lambda _: None)
     forward = Forward.of(twin, recordings, config, sound, against=against)
-    nowhere = np.zeros(len(forward.unknowns))
-    paths = [p[0] for p in forward.paths([forward.values(nowhere)])]
-    reference = forward.mixed(np.concatenate([b.means(p[None])[0] for b, p in zip(forward.blocks, paths, strict=True)]))
-    if not np.isfinite(reference).all():
-        raise ValueError(f"the twin must not diverge in its own recordings (scenario {recordings[0].name})")
+    paths, reference = forward.reference()
     noise, draw = forward.noise(paths)
     slopes = forward.slopes(reference)
     tell(f"slopes of {slopes.shape[1]} unknowns for {len(reference)} block means")
@@ -131,9 +127,8 @@ def gathered(
     left, _ = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
     catalogue = signatures(forward, reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
-    each = slopes / forward.sds
     scatter = Scatter(left[:-1], noise, slopes, layout)
-    return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, each @ forward.covariance @ each.T, tuple(catalogue))
+    return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, forward.posterior(slopes), tuple(catalogue))
 
 
 def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[str], None] | None = None) -> Answer:

@@ -8,9 +8,9 @@ from cables import cable
 from twinbench.datasets.scenario import Scenario, Split
 from twinbench.diagnosis.asking import ask, asked
 from twinbench.diagnosis.config import DiagnosisConfig
-from twinbench.diagnosis.inference.blocks import Blocks
+from twinbench.diagnosis.inference.blocks import Blocks, is_marked
 from twinbench.diagnosis.inference.peers import FEWEST, compared, there
-from twinbench.diagnosis.suitable import is_marked
+from twinbench.diagnosis.suitable import suitable
 from twinbench.methods.continuum.rods import Rod
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
@@ -64,6 +64,14 @@ def test_few_tracks_are_regions_each_and_jitter_is_their_noise(sound):
     np.testing.assert_allclose(deviations, np.maximum(least, NOISE / np.sqrt(frames)), rtol=0.2)
 
 
+def test_few_points_that_no_hand_drives_are_no_markers(sound):
+    points = np.random.default_rng(0).normal(0, 0.1, (30, 3)) + np.zeros((FRAMES, 1, 1))
+    seen = np.ones(points.shape[:2], bool)
+    few = replace(sound[0], points=points, visible=seen, motion_valid=seen, grips=np.full(4, -1))
+    config = replace(CONFIG, regions=4, fewest=3)
+    assert not is_marked(few, CONFIG) and not Blocks.of(few, config).is_single and is_marked(sound[0], CONFIG)
+
+
 def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
     # its natural shape strays as theirs do, which no parameter of the twin takes up
     p = [asked([recording(seed)], CONFIG, fitted_on=sound, twin=twin).answer.test.p for seed in (20, 21, 22)]
@@ -106,11 +114,13 @@ def test_where_it_is_laid_it_starts_as_the_recording_does(twin, sound):
 
 def test_what_cannot_be_compared_is_refused(twin, sound):
     case = recording(25)
-    assert is_marked(case)
+    assert is_marked(case, CONFIG)
     with pytest.raises(ValueError, match=rf"at least {FEWEST} recordings .* got 7 \(scenario swing25\)"):
         compared(twin, case, sound[:7], CONFIG)
     with pytest.raises(ValueError, match=r"markers are asked one recording at a time, .* got 1 beside 0 \(scenario swing25\)"):
         ask([case], config=CONFIG)
+    with pytest.raises(ValueError, match="markers are asked one recording at a time"):
+        suitable([case])  # as continuum+diagnosed asks
     with pytest.raises(ValueError, match="at least 3 markers seen in frame 0 that no hand drives, got 2"):
         ask([replace(case, grips=np.arange(7), controllers=case.points[:, :7])], fitted_on=sound, config=CONFIG)
     first = {name: getattr(sound[0], name)[:30] for name in ("points", "visible", "motion_valid", "controllers")}
