@@ -54,7 +54,7 @@ def twins(start: Observed, device: str) -> dict:
         steps = time_step([system(body, place, config)], place.fps, config)[0]
         found[name] = PhysTwinTwin(body, place, config, device), len(place.structure), steps
     twin = ContinuumTwin(Scene.of(start, bodies_of([start])[0]), dict(youngs_modulus=8e3, damping_time=0.01), device=device)
-    steps = twin.simulator._steps(twin.simulator._complete(twin.values))[0]
+    steps = twin.simulator.steps(twin.values)[0]
     return found | {"continuum": (twin, twin.simulator.system.particle_count, int(steps))}
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ...datasets.scenario import Observed
 from ...methods.continuum.bodies import Body
 from ...methods.continuum.body import body_of
+from ...methods.continuum.estimate import own_values
 from ...methods.continuum.gridding import SLIVER
 from ...methods.continuum.hands import groups_of
 from ...methods.continuum.rods import Rod
@@ -20,7 +21,9 @@ from ...physics.grids import embed
 from ..config import DiagnosisConfig
 from .forward import Forward
 
-__all__ = ["Member", "drawn", "ran"]
+__all__ = ["Member", "affordable", "drawn", "ran"]
+
+LESS = 0.8  # of a shift that is too dear, again and again
 
 
 @dataclass(frozen=True)
@@ -54,9 +57,23 @@ def drawn(forward: Forward, config: DiagnosisConfig, seed: int = 0) -> list[Memb
     for k, row in enumerate(members(ranges, config.members, seed=seed)):
         turn, offset = (np.array([row[f"{name}_{a}"] for a in "xyz"]) for name in ("turn", "offset"))
         shift = np.array([np.clip(config.broad * row[f"shift_{j}"], *(within[j])) for j in range(len(low))])
+        shift = affordable(shift, forward, config)
         values = {name: float(np.exp(row[name]) * usual[name]) for name in rates}
         found.append(Member(row["cells"], np.radians(config.turned) * turn, offset, seed + k, 1 + k % 2, shift, values))
     return found
+
+
+def affordable(shift: np.ndarray, forward: Forward, config: DiagnosisConfig) -> np.ndarray:
+    """``shift`` (n,), or so much of it that no run takes more than ``config.dearest`` times the reference's steps."""
+    usual = _steps(forward, np.zeros_like(shift))
+    while _steps(forward, shift) > config.dearest * usual:
+        shift = LESS * shift
+    return shift
+
+
+def _steps(forward: Forward, shift) -> int:
+    values = {**forward.told, **forward.values(shift)}
+    return max(int(np.prod(s.steps(own_values(values, r)))) for r, s in enumerate(forward.simulators))
 
 
 def ran(member: Member, forward: Forward, config: DiagnosisConfig) -> np.ndarray:

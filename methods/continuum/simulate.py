@@ -129,6 +129,10 @@ class Simulator:
                 inputs = replace(inputs, v=self._corrected(batch, inputs))
         return batch, inputs
 
+    def steps(self, values) -> tuple[int, int]:
+        """(substeps a frame, rounds of damping a substep) with which ``values`` are run."""
+        return self._steps(self._complete(values))
+
     def under(self, values) -> tuple[Simulator, dict[str, float]]:
         """(the simulator of the body under ``values`` at their frame rate, complete values): what ``run`` runs them by."""
         rate, one = values.get("frame_rate", self.scene.fps), self._complete(values)

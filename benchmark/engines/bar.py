@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["FPS", "FRAMES", "Bar", "Cells", "Engine", "Flex", "Setting", "Tetrahedra"]
+from .comparison import FPS, FRAMES, Engine, Setting
+from .rivals import mujoco_runs, newton_runs
 
-FPS, SECONDS = 60, 2.0
-FRAMES = round(FPS * SECONDS) + 1
+__all__ = ["Bar", "Cells", "Flex", "Tetrahedra", "engines"]
+
 GRAVITY = 9.8
 SAMPLES = (2, 4, 4)  # least samples of the material along a cell's edges from which its integration points follow, by axis
+FINE = Setting((6, 1, 1), 64, 8)  # of quadratic flexes: the trilinear and full ones lock, so that their refined self is the quadratic one
 
 
 @dataclass(frozen=True)
@@ -34,36 +35,8 @@ class Bar:
         x, y, z = self.size
         return np.array([[x * k / 4, y * i / 2, z * j / 2] for k in range(1, 5) for i in (-1, 1) for j in (-1, 1)])
 
-
-@dataclass(frozen=True)
-class Setting:
-    """mesh: cells along x, y and z. substeps a frame. How hard an implicit step is solved: ``effort``, by each engine's own measure."""
-
-    mesh: tuple[int, int, int]
-    substeps: int
-    effort: float = 0.0
-
-    def __str__(self):
-        return f"{' x '.join(map(str, self.mesh))}, {self.substeps} a frame" + (f", {self.effort:g}" if self.effort else "")
-
-
-Run = Callable[[], np.ndarray]
-
-
-class Engine:
-    """One way to simulate the bar. ``meshes`` from coarse to fine, ``finest`` its refined self."""
-
-    name: str
-    meshes: tuple[tuple[int, int, int], ...]
-    finest: Setting
-
-    def settings(self, bar: Bar, mesh) -> list[Setting]:
-        """What is tried on a mesh, from the most accurate to the cheapest."""
-        raise NotImplementedError
-
-    def ready(self, bars: Sequence[Bar], setting: Setting) -> Run:
-        """Everything that happens once is done; calling it simulates from the start: (B, FRAMES, 16, 3) m."""
-        raise NotImplementedError
+    def stiffer(self, factor: float) -> Bar:
+        return replace(self, young=self.young * factor)
 
 
 class Cells(Engine):
@@ -76,20 +49,27 @@ class Cells(Engine):
     def __init__(self, device: str = "cpu", workers: int | None = None):
         self.device, self.workers = device, workers
 
-    def settings(self, bar, mesh):
-        from ..physics.stability import stable_step
+    def settings(self, body, mesh):
+        from ...physics.stability import stable_step
 
-        least = 1 / FPS / stable_step(self._system(bar, mesh))
+        least = 1 / FPS / stable_step(self._system(body, mesh))
         return [Setting(tuple(mesh), int(np.ceil(factor * least))) for factor in (1.5, 1.25, 1.1)]
 
-    def ready(self, bars, setting):
-        from ..physics.batch import Batch
+    def steps(self, bodies, setting):
+        """An explicit step is as short as the stiffest bar asks."""
+        if len(bodies) == 1:
+            return setting
+        stiffest = max(b.young for b in bodies) / float(np.median([b.young for b in bodies]))
+        return replace(setting, substeps=int(np.ceil(setting.substeps * stiffest**0.5)))
 
-        systems = [self._system(bar, setting.mesh) for bar in bars]
+    def ready(self, bodies, setting):
+        from ...physics.batch import Batch
+
+        systems = [self._system(bar, setting.mesh) for bar in bodies]
         batch = Batch(systems, fps=FPS, substeps=setting.substeps, device=self.device, workers=self.workers)
         grid = systems[0].grid
         assert grid is not None
-        nodes, weights = grid.locate(bars[0].points)
+        nodes, weights = grid.locate(bodies[0].points)
 
         def run():
             positions = batch.rollout(FRAMES).positions
@@ -99,9 +79,9 @@ class Cells(Engine):
         return run
 
     def _system(self, bar, mesh):
-        from ..physics.grids import embed
-        from ..physics.system import System
-        from ..physics.terms import Gravity, KelvinVoigt, NeoHookean
+        from ...physics.grids import embed
+        from ...physics.system import System
+        from ...physics.terms import Gravity, KelvinVoigt, NeoHookean
 
         counts = [n * max(least, -(-12 // n)) for n, least in zip(mesh, SAMPLES, strict=True)]
         along = [(np.arange(n) + 0.5) * s / n for n, s in zip(counts, bar.size, strict=True)]
@@ -133,62 +113,34 @@ class Cells(Engine):
 class Flex(Engine):
     """MuJoCo's flex of cells with 27 nodes ("quadratic"), 8 ("trilinear") or of linear tetrahedra ("full"); St. Venant-Kirchhoff, implicit.
 
-    ``effort`` is minus the decimal logarithm of the solver's tolerance. A batch goes through MuJoCo's own ``rollout`` in threads.
+    ``effort`` is minus the decimal logarithm of the solver's tolerance.
     """
 
-    def __init__(self, kind: str, meshes, finest: Setting, *, threads: int = 2):
-        self.name, self.kind, self.meshes, self.finest, self.threads = f"flex, {kind}", kind, meshes, finest, threads
+    finest = FINE
 
-    def settings(self, bar, mesh):
+    def __init__(self, kind: str, meshes=(), *, threads: int = 2):
+        self.name, self.kind, self.meshes, self.threads = f"flex, {kind}", kind, meshes, threads
+
+    @property
+    def judge(self):
+        return self if self.kind == "quadratic" else Flex("quadratic")
+
+    def settings(self, body, mesh):
         return [Setting(tuple(mesh), n, effort) for n in (16, 8, 4, 2) for effort in (8, 4)]
 
-    def ready(self, bars, setting):
-        from ..datasets.synthetic.simulate import imported
+    def ready(self, bodies, setting):
+        points, at = bodies[0].points, None
 
-        mujoco = imported()
-        models = [mujoco.MjModel.from_xml_string(self._mjcf(bar, setting)) for bar in bars]
-        datas = [mujoco.MjData(models[0]) for _ in range(min(self.threads, len(bars)))]
-        mujoco.mj_forward(models[0], datas[0])
-        rest = datas[0].flexvert_xpos.copy()
-        apart = ((rest[:, None] - bars[0].points) ** 2).sum(-1)
-        at = apart.argmin(0)
-        if apart.min(0).max() > 1e-12:
-            raise ValueError(f"the mesh must have vertices at the points that are judged, got {setting.mesh}")
+        def see(model, data):
+            nonlocal at
+            if at is None:  # at rest
+                apart = ((data.flexvert_xpos[:, None] - points) ** 2).sum(-1)
+                at = apart.argmin(0)
+                if apart.min(0).max() > 1e-12:
+                    raise ValueError(f"the mesh must have vertices at the points that are judged, got {setting.mesh}")
+            return data.flexvert_xpos[at]
 
-        def single():
-            model, data = models[0], datas[0]
-            mujoco.mj_resetData(model, data)
-            frames = [rest[at]]
-            for _ in range(FRAMES - 1):
-                mujoco.mj_step(model, data, setting.substeps)
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_flex(model, data)
-                frames.append(data.flexvert_xpos[at])
-            return np.array(frames)[None]
-
-        def batch():
-            from mujoco.rollout import Rollout
-
-            start = np.zeros(mujoco.mj_stateSize(models[0], mujoco.mjtState.mjSTATE_FULLPHYSICS))
-            mujoco.mj_resetData(models[0], datas[0])
-            mujoco.mj_getState(models[0], datas[0], start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-            steps = setting.substeps * (FRAMES - 1)
-            with Rollout(nthread=len(datas)) as pool:
-                states, _ = pool.rollout(models, datas, np.tile(start, (len(models), 1)), nstep=steps, chunk_size=1)
-            return self._seen(mujoco, models[0], datas[0], states[:, setting.substeps - 1 :: setting.substeps], rest, at)
-
-        return single if len(bars) == 1 else batch
-
-    def _seen(self, mujoco, model, data, states, rest, at):
-        out = np.empty((len(states), FRAMES, len(at), 3))
-        out[:, 0] = rest[at]
-        for b, frames in enumerate(states):
-            for f, state in enumerate(frames):
-                mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_flex(model, data)
-                out[b, f + 1] = data.flexvert_xpos[at]
-        return out
+        return mujoco_runs([self._mjcf(bar, setting) for bar in bodies], setting, see, threads=self.threads)
 
     def _mjcf(self, bar, setting):
         mesh, full = np.array(setting.mesh), self.kind == "full"
@@ -224,50 +176,23 @@ class Tetrahedra(Engine):
     def __init__(self, device: str = "cpu"):
         self.device = device
 
-    def settings(self, bar, mesh):
+    def settings(self, body, mesh):
         return [Setting(tuple(mesh), n, effort) for n in (16, 8, 4) for effort in (40, 10)]
 
-    def ready(self, bars, setting):
-        from ..datasets.concealed.newton_bodies import imported
+    def ready(self, bodies, setting):
+        at = np.zeros(0)
 
-        if setting.substeps % 2:
-            raise ValueError(f"substeps must be even, as a frame's steps go to and fro between two states, got {setting.substeps}")
-        newton, warp = imported()
-        builder = newton.ModelBuilder(gravity=(0.0, 0.0, -GRAVITY))
-        for row, bar in enumerate(bars):
-            self._lay(builder, warp, bar, setting.mesh, row)
-        builder.color()
-        with warp.ScopedDevice(self.device):
-            model = builder.finalize(device=self.device)
-            solver = newton.solvers.SolverVBD(model, iterations=int(setting.effort))
-            old, new, control = model.state(), model.state(), model.control()
-        rest, dt, last = old.particle_q.numpy().copy(), 1 / FPS / setting.substeps, len(bars) - 1
-        apart = [(((rest - [0, last and row, 0])[:, None] - bars[0].points) ** 2).sum(-1) for row in range(len(bars))]
-        at = np.array([a.argmin(0) for a in apart])
+        def see(places):
+            nonlocal at
+            rows = places.reshape(len(bodies), -1, 3) - np.arange(len(bodies))[:, None, None] * [0.0, 1.0, 0.0]
+            if not len(at):  # at rest
+                at = ((rows[0][:, None] - bodies[0].points) ** 2).sum(-1).argmin(0)
+            return rows[:, at]
 
-        def frame():
-            states = old, new
-            for _ in range(setting.substeps):
-                solver.step(*states, control, None, dt)
-                states = states[::-1]
+        def lay(newton, warp, builder, row):
+            self._lay(builder, warp, bodies[row], setting.mesh, row)
 
-        start = warp.clone(old.particle_q), warp.clone(old.particle_qd)
-        with warp.ScopedDevice(self.device):
-            frame()  # loads what cannot be loaded while it is recorded
-            with warp.ScopedCapture(device=self.device) as capture:
-                frame()
-
-        def run(_kept=(model, solver, control)):  # what a recorded graph works on must live as long as the graph
-            warp.copy(old.particle_q, start[0])
-            warp.copy(old.particle_qd, start[1])
-            found = np.empty((FRAMES, *at.shape, 3))
-            found[0] = rest[at]
-            for k in range(1, FRAMES):
-                warp.capture_launch(capture.graph)
-                found[k] = old.particle_q.numpy()[at]
-            return np.moveaxis(found - np.arange(len(bars))[None, :, None, None] * [0, 1, 0], 1, 0)
-
-        return run
+        return newton_runs(lay, len(bodies), setting, self.device, (0.0, 0.0, -GRAVITY), "particle_q", see)
 
     def _lay(self, builder, warp, bar, mesh, row):
         first = len(builder.particle_q)
@@ -294,3 +219,15 @@ class Tetrahedra(Engine):
         share = np.repeat(np.abs(np.linalg.det(edges)) / 24 * bar.density, 4)
         masses = np.where(place[:, 0] < 1e-6, 0.0, np.bincount(corners.ravel(), share, len(place)))
         builder.particle_mass[first:] = masses.tolist()
+
+
+def engines(cuda: bool) -> list[Engine]:
+    """All that are compared on a device."""
+    if cuda:
+        return [Cells("cuda"), Tetrahedra("cuda")]
+    return [
+        Cells(),
+        Flex("quadratic", ((2, 1, 1), (3, 1, 1), (4, 1, 1))),
+        Flex("trilinear", ((8, 2, 1), (16, 4, 2))),
+        Flex("full", ((8, 2, 1), (16, 4, 2))),
+    ]
