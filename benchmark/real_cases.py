@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..datasets.collection import open_collection
-from ..datasets.scenario import Scenario, Split
+from ..datasets.scenario import Scenario
 
 __all__ = ["CASES", "Told", "run"]
 
@@ -77,9 +77,7 @@ CASES = {"hand": hand, "weight": weight, "gravity": gravity}
 def _short(scenario: Scenario) -> Scenario:
     """The first seconds of a recording, 70 % of them to be fitted."""
     frames = min(len(scenario.points), int(SECONDS * scenario.fps))
-    cut = {n: getattr(scenario, n)[:frames] for n in ("points", "visible", "motion_valid", "controllers")}
-    cut |= {n: getattr(scenario, n)[:frames] for n in ("colors", "tracks") if getattr(scenario, n) is not None}
-    return replace(scenario, **cut, split=Split(int(0.7 * frames), frames))
+    return scenario.shortened(frames, int(0.7 * frames))
 
 
 def _hands(scenario: Scenario) -> dict[str, np.ndarray]:

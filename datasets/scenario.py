@@ -6,7 +6,7 @@ World axes and signs are the recording's own; gravity and the ground plane are t
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from .rules import camera_rules, observed_rules, plane_rules, scenario_rules, sp
 
 __all__ = ["Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
 
+PER_FRAME = ("points", "visible", "motion_valid", "colors", "controllers", "actuation", "tracks")
 FILLED: Any = None  # the default of a field that gets a value when the recording is made, as its docstring says
 
 
@@ -192,6 +193,15 @@ class Observed:
             seen["images"] = self.images.until(frames)
         return Observed(**seen)
 
+    def shortened(self, frames: int) -> Self:
+        """Its first ``frames`` frames alone: where hands and motors went afterwards is cut off as well."""
+        return replace(self, **self._first(frames))
+
+    def _first(self, frames):
+        cut = {name: getattr(self, name, None) for name in PER_FRAME}
+        cut = {name: value[:frames].copy() for name, value in cut.items() if value is not None}
+        return cut | {"images": None if self.images is None else self.images.until(frames)}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario(Observed):
@@ -224,6 +234,17 @@ class Scenario(Observed):
     def initial(self) -> Observed:
         """Frame 0, or as many as ``start_frames`` declares, and the controllers: what a twin fitted elsewhere gets to know of a target."""
         return self.observed(self.start_frames)
+
+    @classmethod
+    def of(cls, observed: Observed, train_end: int) -> Scenario:
+        """What was observed as a recording of its own, of which ``train_end`` frames may be fitted; nothing of what follows is in it."""
+        short = observed.shortened(observed.observed_frames)
+        return cls(**{f.name: getattr(short, f.name) for f in fields(Observed)}, split=Split(train_end, short.frame_count))
+
+    def shortened(self, frames: int, train_end: int | None = None) -> Self:
+        """Its first ``frames`` frames alone, of which ``train_end`` may be fitted, or those that could be before."""
+        train_end = min(self.split.train_end, frames) if train_end is None else train_end
+        return replace(self, **self._first(frames), split=Split(train_end, frames))
 
     def with_split(self, train_end: int) -> Scenario:
         """The same recording with another train range."""

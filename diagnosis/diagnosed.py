@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
-from ..datasets.scenario import Observed, Scenario, Split
+from ..datasets.scenario import Observed, Scenario
 from ..methods.continuum.config import Config
 from ..methods.continuum.twin import ContinuumTwin
 from .asking import told_twin
@@ -49,5 +49,4 @@ def _noted(twin: ContinuumTwin, said: str) -> ContinuumTwin:
 def _whole(observed: Observed) -> Scenario:
     """What was observed as a recording of its own, the last of its frames held out; nothing of what follows is in it."""
     frames = observed.observed_frames
-    known = {f.name: getattr(observed, f.name) for f in fields(Observed)} | {"images": None, "controllers": observed.controllers[:frames]}
-    return Scenario(**known, split=Split(max(1, int(UNHELD * frames)), frames))
+    return Scenario.of(observed, max(1, int(UNHELD * frames)))

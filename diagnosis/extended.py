@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from ..datasets.scenario import Observed, Scenario, Split
+from ..datasets.scenario import Observed, Scenario
 from ..methods.base import Budget, Diverged
 from ..methods.phystwin import PhysTwin
 from ..methods.phystwin.body import Body, Place, regrip
@@ -117,8 +117,7 @@ def gain(extended: PhysTwinTwin, plain: PhysTwinTwin, used: Sequence[Observed]) 
 def _whole(observed: Observed) -> Scenario:
     """What was observed as a recording of its own, the last of its frames held out; nothing of what follows is in it."""
     frames = observed.observed_frames
-    known = {f.name: getattr(observed, f.name) for f in fields(Observed)} | {"images": None, "controllers": observed.controllers[:frames]}
-    return Scenario(**known, split=Split(int(UNHELD * frames), frames))
+    return Scenario.of(observed, int(UNHELD * frames))
 
 
 def _said(found: Diagnosis) -> str:

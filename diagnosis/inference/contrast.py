@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ...datasets.scenario import Scenario, Split
+from ...datasets.scenario import Scenario
 from .blocks import Blocks
 
 __all__ = ["Contrast", "as_long", "comparable"]
@@ -96,6 +96,4 @@ def as_long(sound: Scenario, case: Scenario) -> Scenario:
             f"a sound recording must be as long as the one that it is compared with, {count} frames, got {sound.frame_count} "
             f"(scenario {sound.name})"
         )
-    cut = {name: getattr(sound, name) for name in ("points", "visible", "motion_valid", "controllers", "colors", "actuation")}
-    cut = {name: None if value is None else value[:count] for name, value in cut.items()}
-    return replace(sound, **cut, images=None, tracks=None, split=Split(case.split.train_end, count))
+    return sound.shortened(count, case.split.train_end)

@@ -147,4 +147,4 @@ def _first_frames(observed, frames):
     """The recording's first ``frames`` observed frames."""
     if frames is None or frames >= observed.observed_frames:
         return observed
-    return replace(observed.until(frames), controllers=observed.controllers[:frames])
+    return observed.shortened(frames)

@@ -247,6 +247,26 @@ def test_another_split_is_another_recording():
         built.with_split(1)
 
 
+@pytest.mark.parametrize("told", [True, False], ids=["with motors and images", "without"])
+def test_a_shortened_recording_is_its_first_frames_in_all_that_has_frames(told):
+    built = scenario(**({"actuation": np.arange(2.0 * T).reshape(T, 2)} if told else {"images": None, "colors": None, "tracks": None}))
+    short = built.shortened(4, 3)
+    assert (short.frame_count, short.observed_frames, short.split) == (4, 4, Split(3, 4))
+    for name in ("points", "visible", "motion_valid", "colors", "controllers", "actuation", "tracks"):
+        whole, cut = getattr(built, name), getattr(short, name)
+        assert cut is None if whole is None else np.array_equal(cut, whole[:4])
+    assert not told or short.images.frame_count == 4
+    assert built.shortened(TRAIN + 1).split == Split(TRAIN, TRAIN + 1)
+    seen = built.observed().shortened(4)
+    assert type(seen) is Observed and (seen.frame_count, seen.observed_frames) == (4, 4)
+
+
+def test_what_was_observed_becomes_a_recording_that_knows_nothing_of_what_follows():
+    made = Scenario.of(scenario().observed(), TRAIN - 1)
+    assert made.split == Split(TRAIN - 1, TRAIN) and made.frame_count == len(made.controllers) == TRAIN
+    assert [found for found in leaks(made) if isinstance(found, (np.ndarray, float))] == []
+
+
 # --- what a method may see ------------------------------------------------------------------------------------------------
 
 
