@@ -9,7 +9,7 @@ from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
-from twinbench.diagnosis.inference.members import drawn, ran
+from twinbench.diagnosis.inference.members import affordable, drawn, ran
 from twinbench.diagnosis.inference.scan import signatures
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.scene import Scene
@@ -89,6 +89,19 @@ def test_members_are_other_bodies_that_run(twin, recording):
     assert (apart > 0.05).all() and (apart < 20).all()  # mm: of a block of a few cm that is lifted
     assert len(np.unique(np.round(apart, 6))) == len(apart)
     assert forward.cost.runs == 1 + len(runs)
+
+
+def test_a_member_that_is_too_dear_is_drawn_towards_the_fit(twin, recording):
+    # an explicit step goes with the root of the modulus: sixteen times as stiff is four times as many steps, a hundred times ten
+    forward = Forward.of(twin, [recording], CONFIG)
+    runner, unknown = forward.simulators[0], forward.unknowns[0]
+    usual = np.prod(runner.steps(TRUE))
+    dear = np.array([np.log(100.0) / unknown.sd, 0.5])
+    shift = affordable(dear, forward, replace(CONFIG, dearest=3.0))
+    assert np.prod(runner.steps({**TRUE, **forward.values(shift)})) <= 3 * usual < np.prod(runner.steps({**TRUE, **forward.values(dear)}))
+    assert shift / dear == pytest.approx(np.full(2, shift[0] / dear[0])) and 0 < shift[0] < dear[0]
+    cheap = np.array([-0.1, 0.0])
+    assert np.array_equal(affordable(cheap, forward, CONFIG), cheap)
 
 
 @pytest.mark.slow
