@@ -1,7 +1,7 @@
-"""Wall time of a simulated second at equal accuracy: our engine beside others, in scenes of a bar, a rope, a cable and a sheet.
+"""Wall time of a simulated second at equal accuracy: our engine beside others, in scenes of a bar, ropes and a sheet.
 
-python -m twinbench.benchmark.engines bar|rope|cable|sheet           one body and sixteen, on two CPU cores: beside MuJoCo
-python -m twinbench.benchmark.engines bar|rope|cable|sheet --cuda    one, sixteen and 256 at once on the GPU: beside Newton
+python -m twinbench.benchmark.engines bar|rope|thrown|cable|sheet           one body and sixteen, on two CPU cores: beside MuJoCo
+python -m twinbench.benchmark.engines bar|rope|thrown|cable|sheet --cuda    one, sixteen and 256 at once on the GPU: beside Newton
 
 Each engine is compared with its own refined self only, and may use the setting that is fastest among those whose error (root mean square
 over points of the body and all frames) is at most a millimetre. A coarse mesh may be right by luck, where two errors cancel: a bar, whose

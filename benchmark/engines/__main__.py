@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Sequence
+from functools import partial
 
 from . import __doc__ as told
 from . import bar, rope, sheet
@@ -12,6 +14,7 @@ from .comparison import ACCURACY, Engine, Tried, apart, chosen, clocked, measure
 SCENES = {
     "bar": (bar.Bar(), bar.engines),
     "rope": (rope.ROPE, rope.engines),
+    "thrown": (rope.THROWN, partial(rope.engines, twisted=True)),
     "cable": (rope.CABLE, rope.engines),
     "sheet": (sheet.Sheet(), sheet.engines),
 }
@@ -52,13 +55,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def table(selected: Sequence[tuple[str, Engine, bool, Tried]], measured) -> None:
-    """Print what was chosen, and how long each takes beside the first engine, which is ours."""
+    """Print what was chosen, and how long each takes beside ours."""
     counts = list(measured)
     print("| engine | mesh and steps | error [mm] | " + " | ".join(f"{n} at once: s/s each | beside ours" for n in counts) + " |")
     print("|---|---|---:|" + "---:|" * (2 * len(counts)))
     for name, _engine, lasting, tried in selected:
-        ours = next(n for n, _, one, _ in selected if one == lasting)
-        cells = [f"{measured[n][name]:.4f} | {measured[n][name] / measured[n][ours]:.1f}" for n in counts]
+        ours = next((n for n, engine, one, _ in selected if one == lasting and engine.is_ours), None)
+        cells = [f"{measured[n][name]:.4f} | {measured[n][name] / measured[n][ours] if ours else math.nan:.1f}" for n in counts]
         print(f"| {name} | {tried.setting} | {1e3 * tried.error:.2f} | {' | '.join(cells)} |")
 
 

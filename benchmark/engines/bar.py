@@ -42,6 +42,7 @@ class Bar:
 class Cells(Engine):
     """``neo_hookean`` and ``kelvin_voigt`` on an embedded grid, float32; explicit, damping in rounds."""
 
+    is_ours = True
     name = "cells"
     meshes = ((4, 1, 1), (8, 1, 1), (4, 1, 2), (6, 1, 2), (8, 1, 2), (8, 2, 2), (12, 2, 2))
     finest = Setting((16, 4, 3), 70)

@@ -37,6 +37,7 @@ class Engine:
     name: str
     meshes: tuple[tuple[int, ...], ...]
     finest: Setting
+    is_ours = False
 
     @property
     def judge(self) -> Engine:

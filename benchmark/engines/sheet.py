@@ -63,6 +63,7 @@ HELD = np.arange(2 * SIDE)
 class Sheets(Engine):
     """Our constant-strain triangles, bent by the angles at their sides, float32; explicit."""
 
+    is_ours = True
     name = "sheets"
     meshes = ((SIDE - 1, SIDE - 1),)
     finest = Setting((SIDE - 1, SIDE - 1), 1000)

@@ -64,13 +64,13 @@ def test_every_engine_lets_go_the_same_body_and_a_batch_is_its_bodies(engine, bo
     assert tips[0] < tips[1] < tips[2]
 
 
-@pytest.mark.parametrize("body", [rope.ROPE, rope.CABLE], ids=["rope", "cable"])
+@pytest.mark.parametrize("body", [rope.THROWN, rope.CABLE], ids=["thrown", "cable"])
 def test_engines_throw_a_rope_alike(body):
-    # a twelfth of a second: weight and throw are the same in all; what they do not share (stretch, first order steps) is below a millimetre
+    # a twelfth of a second, 34 mm of free fall: weight and throw are the same in all; stretch and first order steps are below a millimetre
     ways = [rope.Rods().ready([body], Setting(ROPES, 200))()[0, 5], rope.Chain().ready([body], Setting(ROPES, 64))()[0, 5]]
     ways += [rope.Flexed().ready([body], Setting(ROPES, 64, 8))()[0, 5]]
     moved = np.linalg.norm(ways[0] - body.nodes[rope.SEEN], axis=1)[-1]
-    assert moved > 0.05
+    assert moved > 0.02
     for way in ways[1:]:
         assert apart(way, ways[0]) < 1e-3
 
