@@ -59,9 +59,11 @@ def test_every_engine_lets_go_the_same_body_and_a_batch_is_its_bodies(engine, bo
     # single precision of Newton's and ours: 1e-7 of a metre a step, which swings of a soft body carry on to some tenths of a millimetre
     np.testing.assert_allclose(several[1, :20], one[0, :20], atol=2e-5)
     assert one[0, 1:, :, 2].mean() < -1e-3  # it hangs down
-    # the softer, the lower, before it comes to rest or swings back
-    tips = several[:, 1:, -1, 2].mean(1) if isinstance(body, Bar) else several[:, 6, -1, 2]
-    assert tips[0] < tips[1] < tips[2]
+    if isinstance(body, Bar):  # the softer, the lower
+        tips = several[:, 1:, -1, 2].mean(1)
+        assert tips[0] < tips[1] < tips[2]
+    else:  # what swings ends elsewhere if it is stiffer: ten times what single precision leaves above
+        assert apart(several[0, -1], several[2, -1]) > 2e-4
 
 
 @pytest.mark.parametrize("body", [rope.THROWN, rope.CABLE], ids=["thrown", "cable"])
