@@ -15,7 +15,8 @@ from .rules import camera_rules, observed_rules, plane_rules, scenario_rules, sp
 
 __all__ = ["Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
 
-PER_FRAME = ("points", "visible", "motion_valid", "colors", "controllers", "actuation", "tracks")
+SEEN = ("points", "visible", "motion_valid", "colors")  # what has frames and is observed
+PER_FRAME = (*SEEN, "controllers", "actuation", "tracks")
 FILLED: Any = None  # the default of a field that gets a value when the recording is made, as its docstring says
 
 
@@ -185,20 +186,15 @@ class Observed:
 
     def until(self, frames: int) -> Observed:
         """The same with the observations of its first ``frames`` frames alone."""
-        seen = {f.name: getattr(self, f.name) for f in fields(Observed)}
-        for name in ("points", "visible", "motion_valid", "colors"):
-            if seen[name] is not None:
-                seen[name] = seen[name][:frames].copy()
-        if self.images is not None:
-            seen["images"] = self.images.until(frames)
-        return Observed(**seen)
+        seen: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(Observed)}
+        return Observed(**{**seen, **self._first(frames, SEEN)})
 
     def shortened(self, frames: int) -> Self:
         """Its first ``frames`` frames alone: where hands and motors went afterwards is cut off as well."""
-        return replace(self, **self._first(frames))
+        return replace(self, **self._first(frames, PER_FRAME))
 
-    def _first(self, frames):
-        cut = {name: getattr(self, name, None) for name in PER_FRAME}
+    def _first(self, frames, names) -> dict[str, Any]:
+        cut = {name: getattr(self, name, None) for name in names}
         cut = {name: value[:frames].copy() for name, value in cut.items() if value is not None}
         return cut | {"images": None if self.images is None else self.images.until(frames)}
 
@@ -236,15 +232,16 @@ class Scenario(Observed):
         return self.observed(self.start_frames)
 
     @classmethod
-    def of(cls, observed: Observed, train_end: int) -> Scenario:
-        """What was observed as a recording of its own, of which ``train_end`` frames may be fitted; nothing of what follows is in it."""
+    def of(cls, observed: Observed, share: float) -> Scenario:
+        """What was observed as a recording of its own, of which the first ``share`` may be fitted; nothing of what follows is in it."""
         short = observed.shortened(observed.observed_frames)
-        return cls(**{f.name: getattr(short, f.name) for f in fields(Observed)}, split=Split(train_end, short.frame_count))
+        split = Split(max(1, int(share * short.frame_count)), short.frame_count)
+        return cls(**{f.name: getattr(short, f.name) for f in fields(Observed)}, split=split)
 
     def shortened(self, frames: int, train_end: int | None = None) -> Self:
         """Its first ``frames`` frames alone, of which ``train_end`` may be fitted, or those that could be before."""
         train_end = min(self.split.train_end, frames) if train_end is None else train_end
-        return replace(self, **self._first(frames), split=Split(train_end, frames))
+        return replace(self, **self._first(frames, PER_FRAME), split=Split(train_end, frames))
 
     def with_split(self, train_end: int) -> Scenario:
         """The same recording with another train range."""

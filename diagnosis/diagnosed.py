@@ -27,7 +27,7 @@ def extend(
     Where nothing is named, or one recording cannot tell two names apart, it is the twin as it is.
     """
     say = progress or (lambda stage, share: None)
-    recordings, config = [_whole(one) for one in observed], DiagnosisConfig(members=members)
+    recordings, config = [Scenario.of(one, UNHELD) for one in observed], DiagnosisConfig(members=members)
     try:
         suitable(recordings)
         answer = infer(start, recordings, config, seed=seed, progress=lambda said: say(said.split(", ")[0], 0.6))
@@ -44,9 +44,3 @@ def extend(
 
 def _noted(twin: ContinuumTwin, said: str) -> ContinuumTwin:
     return replace(twin, scene=replace(twin.scene, notes=(said, *twin.scene.notes)))
-
-
-def _whole(observed: Observed) -> Scenario:
-    """What was observed as a recording of its own, the last of its frames held out; nothing of what follows is in it."""
-    frames = observed.observed_frames
-    return Scenario.of(observed, max(1, int(UNHELD * frames)))

@@ -64,9 +64,9 @@ def extend(
     if min(o.observed_frames for o in used) < FEWEST:
         return twin(f"nothing added: fewer than {FEWEST} train frames are too few for a diagnosis")
     found = diagnose(
-        _whole(used[0]),
+        Scenario.of(used[0], UNHELD),
         twin="springs",
-        transfer=[_whole(o) for o in used[1:]],
+        transfer=[Scenario.of(o, UNHELD) for o in used[1:]],
         preset=budget.preset,
         device=device,
         progress=lambda said: say(said.split(", ")[0], 1 / 3),
@@ -112,12 +112,6 @@ def gain(extended: PhysTwinTwin, plain: PhysTwinTwin, used: Sequence[Observed]) 
     except Diverged:
         return -np.inf
     return 1 - after / before
-
-
-def _whole(observed: Observed) -> Scenario:
-    """What was observed as a recording of its own, the last of its frames held out; nothing of what follows is in it."""
-    frames = observed.observed_frames
-    return Scenario.of(observed, int(UNHELD * frames))
 
 
 def _said(found: Diagnosis) -> str:

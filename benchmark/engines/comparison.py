@@ -32,11 +32,16 @@ class Setting:
 
 
 class Engine:
-    """One way to simulate a scene. ``meshes`` from coarse to fine, ``finest`` its refined self."""
+    """One way to simulate a scene. ``meshes`` from coarse to fine, ``finest`` its refined self.
+
+    substeps, efforts  that are tried. A body has ``stiffness`` and is made ``stiffer`` by a factor.
+    """
 
     name: str
     meshes: tuple[tuple[int, ...], ...]
     finest: Setting
+    substeps: tuple[int, ...] = ()
+    efforts: tuple[float, ...] = (0.0,)
     is_ours = False
 
     @property
@@ -46,7 +51,7 @@ class Engine:
 
     def settings(self, body: Any, mesh) -> list[Setting]:
         """What is tried on a mesh, from the most accurate to the cheapest."""
-        raise NotImplementedError
+        return [Setting(tuple(mesh), n, effort) for n in self.substeps for effort in self.efforts]
 
     def steps(self, bodies: Sequence[Any], setting: Setting) -> Setting:
         """The setting with which a batch is simulated. Implicit steps stay what they are."""

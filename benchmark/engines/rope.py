@@ -7,16 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .comparison import FPS, FRAMES, Engine, Setting
-from .rivals import mujoco_runs, newton_runs
+from .ours import Ours
+from .rivals import Mujoco, Newton, implicit
 
 __all__ = ["CABLE", "ROPE", "THROWN", "Chain", "Flexed", "Newtons", "Rods", "Rope", "engines"]
 
 NODES = 40
 SEEN = np.arange(4, NODES, 5)  # nodes that are judged, the last among them
-GRAVITY = 9.8
+MESH = (NODES - 1,)
+GRAVITY = (0.0, 0.0, -9.8)  # m/s^2
 STRETCH = 0.002  # by which it is longer where it hangs by one end
 RATTLE = 0.2  # damping ratio of a segment's stretch
-APART = 1.0  # m, from one body of a batch to the next
 
 
 @dataclass(frozen=True)
@@ -49,13 +50,17 @@ class Rope:
     @property
     def tension(self) -> float:
         """N per strain."""
-        return self.density * GRAVITY * self.length / STRETCH
+        return self.density * -GRAVITY[2] * self.length / STRETCH
 
     @property
     def masses(self) -> np.ndarray:
         found = np.full(NODES, self.density * self.segment)
         found[[0, -1]] /= 2
         return found
+
+    @property
+    def stiffness(self) -> float:
+        return self.rigidity
 
     def stiffer(self, factor: float) -> Rope:
         return replace(self, rigidity=self.rigidity * factor)
@@ -66,41 +71,25 @@ CABLE = Rope(1.2, 4e-3, 0.005)  # as DEFORM's: bows by half its length
 THROWN = replace(ROPE, spin=2.0)  # leaves its plane, so that it twists
 
 
-class Rods(Engine):
-    """Our discrete elastic rods, float32; explicit."""
+class Rods(Ours):
+    """Our discrete elastic rods."""
 
-    is_ours = True
     name = "rods"
-    meshes = ((NODES - 1,),)
+    meshes = (MESH,)
+    factors = (32, 16, 8, 4, 2, *Ours.factors)
 
     def __init__(self, device: str = "cpu", workers: int | None = None, *, twisted: bool = False):
-        self.device, self.workers = device, workers
+        super().__init__(device, workers)
         # single precision rounds by half a millimetre in 8000 steps a frame, more than steps are off by, but for twist
-        self.finest = Setting((NODES - 1,), 8000 if twisted else 1000)
+        self.finest = Setting(MESH, 8000 if twisted else 1000)
 
     def settings(self, body, mesh):
-        from ...physics.stability import stable_step
+        return [one for one in super().settings(body, mesh) if 2 * one.substeps <= self.finest.substeps]
 
-        least = 1 / FPS / stable_step(self._system(body))
-        substeps = [int(np.ceil(factor * least)) for factor in (32, 16, 8, 4, 2, 1.5, 1.25, 1.1)]
-        return [Setting(tuple(mesh), n) for n in substeps if 2 * n <= self.finest.substeps]
+    def watched(self, system, body):
+        return SEEN[:, None], np.ones((len(SEEN), 1))
 
-    def steps(self, bodies, setting):
-        """Explicit steps are as short as the stiffest asks; their damping asks for most."""
-        if len(bodies) == 1:
-            return setting
-        rigidities = [b.rigidity for b in bodies]
-        return replace(setting, substeps=int(np.ceil(setting.substeps * max(rigidities) / np.median(rigidities))))
-
-    def ready(self, bodies, setting):
-        from ...physics.batch import Batch
-
-        systems = [self._system(body) for body in bodies]
-        batch = Batch(systems, fps=FPS, substeps=setting.substeps, device=self.device, workers=self.workers)
-        return lambda: np.stack([p.cpu().numpy()[:, SEEN].astype(float) for p in batch.rollout(FRAMES).positions])
-
-    @staticmethod
-    def _system(body: Rope):
+    def system(self, body, mesh):
         from ...physics.system import System
         from ...physics.terms import Bending, BendingDamping, Dashpot, Gravity, Springs, Torsion
         from ...physics.topology import rope_hinges
@@ -121,7 +110,7 @@ class Rods(Engine):
             terms=[
                 Springs(),
                 Dashpot({"dashpot_damping": dashpot}),
-                Gravity({"gravity_z": -GRAVITY}),
+                Gravity({"gravity_z": GRAVITY[2]}),
                 Bending({"bending_stiffness": body.rigidity}),
                 BendingDamping({"bending_damping": body.rigidity * body.damping}),
                 Torsion({"torsion_stiffness": body.rigidity}),
@@ -129,63 +118,52 @@ class Rods(Engine):
         )
 
 
-class Chain(Engine):
+class Chain(Mujoco):
     """MuJoCo's capsules with ball joints between them, which do not stretch; their damping is implicit (Euler)."""
 
     name = "MuJoCo, ball joints"
-    meshes = ((NODES - 1,),)
-    finest = Setting((NODES - 1,), 1024)
+    meshes = (MESH,)
+    finest = Setting(MESH, 1024)
+    substeps = (512, 256, 128, 64, 32, 16, 8, 4)
+    efforts = (0.0,)
+    places = "site_xpos"
 
-    def __init__(self, threads: int = 2):
-        self.threads = threads
+    def watched(self, places, body, setting):
+        return SEEN - 1  # sites are the ends of segments
 
-    def settings(self, body, mesh):
-        return [Setting(tuple(mesh), n) for n in (512, 256, 128, 64, 32, 16, 8, 4)]
+    def speeds(self, body):
+        return np.array([0.0, 0.0, body.spin])
 
-    def ready(self, bodies, setting):
-        speeds = np.zeros(3 * (NODES - 2))
-        speeds[2] = bodies[0].spin
-        documents = [self._mjcf(body, setting) for body in bodies]
-        return mujoco_runs(documents, setting, lambda model, data: data.site_xpos[SEEN - 1], speeds, threads=self.threads)
-
-    @staticmethod
-    def _mjcf(body: Rope, setting: Setting):
+    def document(self, body, setting):
         long, stiff = body.segment, body.rigidity / body.segment
         link = f"""<body pos="{long:.12g} 0 0"><joint type="ball" stiffness="{stiff:.9g}" damping="{stiff * body.damping:.9g}"/>
           <geom type="capsule" fromto="0 0 0 {long:.12g} 0 0" size="{body.radius}" mass="{body.density * long:.9g}"/>
           <site pos="{long:.12g} 0 0"/>"""
         return f"""<mujoco>
-          <option timestep="{1 / FPS / setting.substeps:.12g}" integrator="Euler" gravity="0 0 {-GRAVITY}">
+          <option timestep="{1 / FPS / setting.substeps:.12g}" integrator="Euler" gravity="{" ".join(map(str, GRAVITY))}">
             <flag contact="disable"/></option>
           <worldbody><site pos="{long:.12g} 0 0"/>{link * (NODES - 2)}{"</body>" * (NODES - 2)}</worldbody>
         </mujoco>"""
 
 
-class Flexed(Engine):
-    """MuJoCo's flex along a line, whose edges are constraints; implicit. ``effort``: see ``bar.Flex``."""
+class Flexed(Mujoco):
+    """MuJoCo's flex along a line, whose edges are constraints."""
 
     name = "MuJoCo, flex"
-    meshes = ((NODES - 1,),)
-    finest = Setting((NODES - 1,), 512, 8)
+    meshes = (MESH,)
+    finest = Setting(MESH, 512, 8)
+    substeps = (256, 128, 64, 32, 16, 8)
 
-    def __init__(self, threads: int = 2):
-        self.threads = threads
+    def watched(self, places, body, setting):
+        return SEEN
 
-    def settings(self, body, mesh):
-        return [Setting(tuple(mesh), n, effort) for n in (256, 128, 64, 32, 16, 8) for effort in (8, 4)]
+    def speeds(self, body):
+        return body.speeds[2:].ravel()  # of free nodes; further ones are of twist
 
-    def ready(self, bodies, setting):
-        speeds = bodies[0].speeds[2:].ravel()
-        documents = [self._mjcf(body, setting) for body in bodies]
-        return mujoco_runs(documents, setting, lambda model, data: data.flexvert_xpos[SEEN], speeds, threads=self.threads)
-
-    @staticmethod
-    def _mjcf(body: Rope, setting: Setting):
+    def document(self, body, setting):
         young, step = body.rigidity / (np.pi * body.radius**4 / 4), 1 / FPS / setting.substeps
         return f"""<mujoco>
-          <option timestep="{step:.12g}" integrator="discrete" solver="CG" iterations="200" tolerance="{10.0**-setting.effort:g}"
-            gravity="0 0 {-GRAVITY}"><flag contact="disable"/></option>
-          <size memory="64M"/>
+          {implicit(setting, GRAVITY)}
           <worldbody>
             <flexcomp name="rope" type="grid" dim="1" count="{NODES} 1 1" spacing="{body.segment:.12g} 1 1" pos="{body.length / 2} 0 0"
               mass="{body.density * body.length:.9g}" radius="{body.radius}">
@@ -198,41 +176,31 @@ class Flexed(Engine):
         </mujoco>"""
 
 
-class Newtons(Engine):
-    """Newton's rods of capsules, by vertex block descent; ``effort`` is its iterations a step."""
+class Newtons(Newton):
+    """Newton's rods of capsules."""
 
-    name = "Newton, VBD"
-    meshes = ((NODES - 1,),)
-    finest = Setting((NODES - 1,), 256, 40)
+    meshes = (MESH,)
+    finest = Setting(MESH, 256, 40)
+    substeps = (128, 64, 32, 16, 8, 4)
+    efforts = (40, 10, 4)
+    gravity = GRAVITY
+    quantity = "body_q"
 
-    def __init__(self, device: str = "cpu"):
-        self.device = device
+    def places(self, values, body):
+        """Ends of the capsules, half a segment along their own axes from their middles."""
+        middle, vector, scalar = values[..., :3], values[..., 3:6], values[..., 6:]
+        axis = np.array([0.0, 0.0, body.segment / 2])
+        turned = 2 * np.cross(vector, axis)
+        return middle + axis + scalar * turned + np.cross(vector, turned)
 
-    def settings(self, body, mesh):
-        return [Setting(tuple(mesh), n, effort) for n in (128, 64, 32, 16, 8, 4) for effort in (40, 10, 4)]
+    def watched(self, places, body):
+        return SEEN - 1
 
-    def ready(self, bodies, setting):
-        half = bodies[0].segment / 2
-
-        def see(poses):
-            rows = poses.reshape(len(bodies), NODES - 1, 7)
-            place, vector, scalar = rows[..., :3], rows[..., 3:6], rows[..., 6:]
-            axis = np.array([0.0, 0.0, half])  # a capsule's own: to its end
-            turned = 2 * np.cross(vector, axis)
-            ends = place + axis + scalar * turned + np.cross(vector, turned)
-            return ends[:, SEEN - 1] - np.arange(len(bodies))[:, None, None] * [0.0, APART, 0.0]
-
-        def lay(newton, warp, builder, row):
-            self._lay(newton, warp, builder, bodies[row], row)
-
-        return newton_runs(lay, len(bodies), setting, self.device, (0.0, 0.0, -GRAVITY), "body_q", see)
-
-    @staticmethod
-    def _lay(newton, warp, builder, body: Rope, row: int):
+    def lay(self, newton, warp, builder, body, mesh, aside):
         long, stiff = body.segment, body.rigidity / body.segment
         volume = np.pi * body.radius**2 * (long + 4 / 3 * body.radius)
         rod = newton.Rod.create_straight(
-            start=warp.vec3(0.0, row * APART, 0.0),
+            start=warp.vec3(0.0, aside, 0.0),
             direction=warp.vec3(1.0, 0.0, 0.0),
             length=body.length,
             segment_count=NODES - 1,

@@ -6,15 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .comparison import FPS, FRAMES, Engine, Setting
-from .rivals import mujoco_runs, newton_runs
+from ...physics.sheets import Sheet as Triangles
+from .comparison import FRAMES, Engine, Setting
+from .ours import Ours
+from .rivals import Mujoco, Newton, implicit
 
 __all__ = ["Flexed", "Newtons", "Sheet", "Sheets", "engines"]
 
 SIDE = 20  # nodes
+MESH = (SIDE - 1, SIDE - 1)
+HELD = np.arange(2 * SIDE)
 SEEN = np.array([i * SIDE + j for i in (4, 9, 14, 19) for j in (0, 6, 13, 19)])  # nodes that are judged, the free corners among them
 GRAVITY = (0.0, 2.0, -9.6)  # m/s^2, somewhat aside, so that it turns as well
-APART = 1.0  # m, from one body of a batch to the next
 
 
 @dataclass(frozen=True)
@@ -53,47 +56,25 @@ class Sheet:
         """N m."""
         return self.stretch * self.thickness**2 / 12 / (1 - self.poisson**2)
 
+    @property
+    def stiffness(self) -> float:
+        return self.stretch
+
     def stiffer(self, factor: float) -> Sheet:
         return replace(self, stretch=self.stretch * factor)
 
 
-HELD = np.arange(2 * SIDE)
+class Sheets(Ours):
+    """Our constant-strain triangles, bent by the angles at their sides."""
 
-
-class Sheets(Engine):
-    """Our constant-strain triangles, bent by the angles at their sides, float32; explicit."""
-
-    is_ours = True
     name = "sheets"
-    meshes = ((SIDE - 1, SIDE - 1),)
-    finest = Setting((SIDE - 1, SIDE - 1), 1000)
+    meshes = (MESH,)
+    finest = Setting(MESH, 1000)
 
-    def __init__(self, device: str = "cpu", workers: int | None = None):
-        self.device, self.workers = device, workers
+    def watched(self, system, body):
+        return SEEN[:, None], np.ones((len(SEEN), 1))
 
-    def settings(self, body, mesh):
-        from ...physics.stability import stable_step
-
-        least = 1 / FPS / stable_step(self._system(body))
-        return [Setting(tuple(mesh), int(np.ceil(factor * least))) for factor in (1.5, 1.25, 1.1)]
-
-    def steps(self, bodies, setting):
-        """Explicit steps are as short as the stiffest asks, which its damping decides."""
-        if len(bodies) == 1:
-            return setting
-        stiffness = [b.stretch for b in bodies]
-        return replace(setting, substeps=int(np.ceil(setting.substeps * max(stiffness) / np.median(stiffness))))
-
-    def ready(self, bodies, setting):
-        from ...physics.batch import Batch
-
-        systems = [self._system(body) for body in bodies]
-        batch = Batch(systems, fps=FPS, substeps=setting.substeps, device=self.device, workers=self.workers)
-        return lambda: np.stack([p.cpu().numpy()[:, SEEN].astype(float) for p in batch.rollout(FRAMES).positions])
-
-    @staticmethod
-    def _system(body: Sheet):
-        from ...physics.sheets import Sheet as Triangles
+    def system(self, body, mesh):
         from ...physics.system import System
         from ...physics.terms import Gravity, Membrane, MembraneDamping, PlateBending, PlateDamping
 
@@ -117,30 +98,21 @@ class Sheets(Engine):
         )
 
 
-class Flexed(Engine):
-    """MuJoCo's flex of triangles with bending edges; implicit. ``effort``: see ``bar.Flex``."""
+class Flexed(Mujoco):
+    """MuJoCo's flex of triangles with bending edges."""
 
     name = "MuJoCo, flex"
-    meshes = Sheets.meshes
-    finest = Setting((SIDE - 1, SIDE - 1), 128, 8)
+    meshes = (MESH,)
+    finest = Setting(MESH, 128, 8)
+    substeps = (64, 32, 16, 8, 4, 2)
 
-    def __init__(self, threads: int = 2):
-        self.threads = threads
+    def watched(self, places, body, setting):
+        return SEEN
 
-    def settings(self, body, mesh):
-        return [Setting(tuple(mesh), n, effort) for n in (64, 32, 16, 8, 4, 2) for effort in (8, 4)]
-
-    def ready(self, bodies, setting):
-        documents = [self._mjcf(body, setting) for body in bodies]
-        return mujoco_runs(documents, setting, lambda model, data: data.flexvert_xpos[SEEN], threads=self.threads)
-
-    @staticmethod
-    def _mjcf(body: Sheet, setting: Setting):
+    def document(self, body, setting):
         half = body.size / 2
         return f"""<mujoco>
-          <option timestep="{1 / FPS / setting.substeps:.12g}" integrator="discrete" solver="CG" iterations="200"
-            tolerance="{10.0**-setting.effort:g}" gravity="{" ".join(map(str, GRAVITY))}"><flag contact="disable"/></option>
-          <size memory="256M"/>
+          {implicit(setting, GRAVITY)}
           <worldbody>
             <flexcomp name="sheet" type="grid" dim="2" count="{SIDE} {SIDE} 1" spacing="{body.pitch:.12g} {body.pitch:.12g} 1"
               pos="{half} {half} 0" mass="{body.density * body.size**2:.9g}" radius="0.0005">
@@ -153,37 +125,24 @@ class Flexed(Engine):
         </mujoco>"""
 
 
-class Newtons(Engine):
-    """Newton's triangles and the angles between them, by vertex block descent; ``effort`` is its iterations a step."""
+class Newtons(Newton):
+    """Newton's triangles and the angles between them."""
 
-    name = "Newton, VBD"
-    meshes = Sheets.meshes
-    finest = Setting((SIDE - 1, SIDE - 1), 64, 40)
+    meshes = (MESH,)
+    finest = Setting(MESH, 64, 40)
+    substeps = (32, 16, 8, 4)
+    efforts = (40, 10, 4)
+    gravity = GRAVITY
 
-    def __init__(self, device: str = "cpu"):
-        self.device = device
+    def watched(self, places, body):
+        return SEEN
 
-    def settings(self, body, mesh):
-        return [Setting(tuple(mesh), n, effort) for n in (32, 16, 8, 4) for effort in (40, 10, 4)]
-
-    def ready(self, bodies, setting):
-        def see(places):
-            return places.reshape(len(bodies), -1, 3)[:, SEEN] - np.arange(len(bodies))[:, None, None] * [0.0, APART, 0.0]
-
-        def lay(newton, warp, builder, row):
-            self._lay(warp, builder, bodies[row], row)
-
-        return newton_runs(lay, len(bodies), setting, self.device, GRAVITY, "particle_q", see)
-
-    @staticmethod
-    def _lay(warp, builder, body: Sheet, row: int):
-        from ...physics.sheets import Sheet as Triangles
-
+    def lay(self, newton, warp, builder, body, mesh, aside):
         shear = body.stretch / 2 / (1 + body.poisson)
         lame = body.stretch * body.poisson / (1 - body.poisson**2)  # in plane stress
         first, edges = len(builder.particle_q), len(builder.edge_indices)
         builder.add_cloth_mesh(
-            pos=warp.vec3(0.0, row * APART, 0.0),
+            pos=warp.vec3(0.0, aside, 0.0),
             rot=warp.quat_identity(),
             scale=1.0,
             vel=warp.vec3(0.0, 0.0, 0.0),

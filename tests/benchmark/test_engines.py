@@ -56,8 +56,9 @@ def test_every_engine_lets_go_the_same_body_and_a_batch_is_its_bodies(engine, bo
     one, several = (engine.ready(b, setting)() for b in ([body], bodies))
     assert one.shape == (1, FRAMES, *rest.shape) and several.shape == (3, FRAMES, *rest.shape)
     np.testing.assert_allclose(several[:, 0], np.broadcast_to(rest, (3, *rest.shape)), atol=1e-6)
-    # single precision of Newton's and ours: 1e-7 of a metre a step, which swings of a soft body carry on to some tenths of a millimetre
-    np.testing.assert_allclose(several[1, :20], one[0, :20], atol=2e-5)
+    # single precision of Newton's and ours: 1e-7 of a metre a step, which a rope or a sheet that whips carries on to tenths of a millimetre
+    frames, atol = (FRAMES, 1e-5) if isinstance(body, Bar) else (20, 2e-5)
+    np.testing.assert_allclose(several[1, :frames], one[0, :frames], atol=atol)
     assert one[0, 1:, :, 2].mean() < -1e-3  # it hangs down
     if isinstance(body, Bar):  # the softer, the lower
         tips = several[:, 1:, -1, 2].mean(1)
@@ -120,7 +121,7 @@ def test_cells_and_quadratic_flexes_let_the_bar_hang_alike():
 
 def test_a_mesh_without_the_points_is_refused():
     with pytest.raises(ValueError, match="vertices at the points that are judged"):
-        Flex("full").ready([Bar()], Setting((3, 1, 1), 4, 4))()
+        Flex("full").ready([Bar()], Setting((3, 1, 1), 4, 4))
 
 
 def test_newtons_steps_come_in_pairs():

@@ -262,7 +262,7 @@ def test_a_shortened_recording_is_its_first_frames_in_all_that_has_frames(told):
 
 
 def test_what_was_observed_becomes_a_recording_that_knows_nothing_of_what_follows():
-    made = Scenario.of(scenario().observed(), TRAIN - 1)
+    made = Scenario.of(scenario().observed(), 0.9)
     assert made.split == Split(TRAIN - 1, TRAIN) and made.frame_count == len(made.controllers) == TRAIN
     assert [found for found in leaks(made) if isinstance(found, (np.ndarray, float))] == []
 
