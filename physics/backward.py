@@ -24,6 +24,7 @@ from .paths import give_path, give_speed, speed
 from .rods_back import make_back_rods
 from .shells import make_back_shells
 from .skin import make_back_skin
+from .twist_back import make_back_twist
 
 __all__ = ["make_backward"]
 
@@ -46,7 +47,8 @@ def make_backward(kit):
     back_meet, remet = make_back_outside(kit) if pointed else (ABSENT, ABSENT)
     back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (ABSENT, ABSENT, ABSENT)
     back_press, grown, back_pressed = make_back_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT)
-    back_bend, back_turn, regained = make_back_rods(kit) if hinged else (ABSENT, ABSENT, ABSENT)
+    back_bend, regained = make_back_rods(kit) if hinged else (ABSENT, ABSENT)
+    back_turn, back_balance, back_wrung, back_carry = make_back_twist(kit) if hinged else (ABSENT, ABSENT, ABSENT, ABSENT)
     get_x, get_v, sum3, sum_axial, sum_strand, give = kit.get_x, kit.get_v, kit.sum3, kit.sum_axial, kit.sum_strand, kit.give
     node, end = node_functions(kit)
     back_move = _back_move(kit)
@@ -121,7 +123,20 @@ def make_backward(kit):
                     barrier(w.counters, team, blocks, round)
                 if w.segment_start[b + 1] > w.segment_start[b]:
                     for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
-                        back_turn(w, a, k, s, count, p_hinge)
+                        back_turn(w, a, k, s, count)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                if k > 0 and w.segment_start[b + 1] > w.segment_start[b]:
+                    for c in range(w.chain_start[b] + lane, w.chain_start[b + 1], width):
+                        back_balance(w, a, k, c)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
+                        back_wrung(w, a, k, h, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
+                        back_carry(w, a, k, s)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(filled):

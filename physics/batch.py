@@ -186,9 +186,6 @@ class Batch:
         self.constants |= {k: self._real(v) for k, v in {**real, **solid, **drape}.items()}
         self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells, **sheets, **points}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
-        # of what a segment's roll gives to the hinge before it, and after: where it stands, and whose it is
-        around = [(2 * s + side, bent["ends"][s, side]) for side in (0, 1) for s in [np.flatnonzero(bent["ends"][:, side] >= 0)]]
-        self.rolled = [(self._ints(rows).long(), self._ints(hinges).long()) for rows, hinges in around]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.point_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.point_starts))).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
@@ -384,7 +381,7 @@ class Batch:
         """What one substep takes of a history, for the way back."""
         kept = self.node_count * (23 if self.colliding else 14)
         if self.hinged:
-            kept += 3 * len(self.inputs.directors)
+            kept += 4 * (len(self.inputs.directors) + len(self.inputs.flexure))
         if self.easing:
             kept += self.node_count * 3 * (int(self.rounds.max()) + 1)
         if self.layered:

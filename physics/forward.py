@@ -13,6 +13,7 @@ from .quads import QUAD
 from .rods import make_rods
 from .shells import make_shells
 from .skin import make_skin
+from .twist import make_twist
 
 __all__ = ["HELD_MASS", "make_forward", "node_functions", "recalling", "sighting"]
 
@@ -96,7 +97,8 @@ def make_forward(kit):
     law_of, integrated, placed, damped = make_lanes(kit) if alone else (ABSENT, ABSENT, ABSENT, ABSENT)
     contraction = starts(kit)[0] if alone else ABSENT
     bulk, swollen, press, pressed = make_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT, ABSENT)
-    bend, bent, turn = make_rods(kit) if hinged else (ABSENT, ABSENT, ABSENT)
+    bend, bent = make_rods(kit) if hinged else (ABSENT, ABSENT)
+    carry_along, wrung, balance, turn = make_twist(kit) if hinged else (ABSENT, ABSENT, ABSENT, ABSENT)
     get_x, get_v, put, find, sum3, sum4, four = kit.get_x, kit.get_v, kit.put, kit.find, kit.sum3, kit.sum4, kit.four
     node, end = node_functions(kit)
     note, noted_mass = kit.noting
@@ -400,7 +402,19 @@ def make_forward(kit):
             if wp.static(hinged):
                 if w.segment_start[b + 1] > w.segment_start[b]:
                     for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
-                        turn(w, here, there, s, p_hinge)
+                        carry_along(w, here, there, s)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
+                        wrung(w, here, there, h, p_hinge)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    for c in range(w.chain_start[b] + lane, w.chain_start[b + 1], width):
+                        balance(w, here, c)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+                    for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):
+                        turn(w, here, there, s)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if (step + 1) % substeps == 0:

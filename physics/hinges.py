@@ -144,17 +144,14 @@ def assemble(systems, indices, x, driver, absent) -> tuple[dict[str, np.ndarray]
     ends = np.full((len(segment), 2), -1)  # the hinge before and the hinge after
     here = np.flatnonzero((sides[:, 0] >= 0) & (joint[:, 0] >= 0))
     ends[sides[here, 1], 0] = ends[sides[here, 0], 1] = here
-    around = np.full((len(segment), 4), -1)  # the nodes that its director depends on
-    around[:, 1:3] = segment
-    before, after = ends.T >= 0
-    around[before, 0], around[after, 3] = joint[ends[before, 0], 0], joint[ends[after, 1], 2]
     inputs = {k: np.concatenate([getattr(s, k) for s in systems]) for k in ("natural", "flexure", "span")}
     chain = np.concatenate([[0], np.cumsum([len(s.chains) for s in systems])])
     whole = Ropes(segment, np.zeros(0), np.concatenate([r.chain + c for r, c in zip(ropes, chain[:-1], strict=True)]))
     start = whole.directors(x)
     inputs["directors"] = whole.fitted(start, x, sides, inputs["natural"], inputs["flexure"] / inputs["span"])
     row, of = incidence(joint, len(x))
-    turn_row, turn_of = incidence(around, len(x))
+    turn_row, turn_of = incidence(segment, len(x))
     constants = dict(joint=joint, sides=sides, segment=segment, ends=ends, hinge_row=row, hinge_of=of, turn_row=turn_row, turn_of=turn_of)
     constants |= dict(hinge_start=np.array(hinge_start), segment_start=np.array(segment_start))
+    constants |= dict(chain_start=chain, chain=np.searchsorted(whole.chain, np.arange(chain[-1] + 1)))
     return constants | {"loose": (driver[segment] < 0).any(1).astype(float), "span": inputs.pop("span")}, inputs

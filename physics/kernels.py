@@ -91,7 +91,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     vectors["cell_memory"] = wp.types.vector(laws.cell_memories, R)
     mat = wp.types.matrix((3, 3), R)
     pair = wp.types.vector(2, R)
-    vectors |= dict(natural=pair, rolled_natural=pair, twist=vectors["hinge"], pair_weight=four, pair_law=vectors["layer"])
+    vectors |= dict(natural=pair, pivot=pair, torque=four, factor=four, pair_weight=four, pair_law=vectors["layer"])
     one = wp.types.vector(1, R)
     get_x, get_v, put = state_access(R, vec)
     World, Adjoint = _structs(R, vec, four, vectors)
@@ -205,7 +205,12 @@ def _structs(R, vec, four, vectors):
         loose: wp.array(dtype=R)  # (S,) 1: free to roll, 0: held
         directors: wp.array2d(dtype=vec)  # (slots, S)
         turn_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
-        turn_of: wp.array(dtype=wp.int32)  # 4 segment + place among the nodes around it
+        turn_of: wp.array(dtype=wp.int32)  # 2 segment + place in it
+        chain_start: wp.array(dtype=wp.int32)  # (B+1,) first chain of each system
+        chain: wp.array(dtype=wp.int32)  # (C+1,) first segment of each chain
+        torque: wp.array2d(dtype=four)  # (slots, H) N m of the roll at the substep's end: ``twist.wring``
+        rolled: wp.array(dtype=R)  # (slots * S,) rad by which segments roll
+        factor: wp.array(dtype=four)  # (S,) of a chain's equations: pivot, that taken, share of the one before, what closes a ring
         facet_start: wp.array(dtype=wp.int32)  # (B+1,) first facet of each system
         corner: wp.array2d(dtype=wp.int32)  # (F, 3) nodes
         facet_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
@@ -292,11 +297,14 @@ def _structs(R, vec, four, vectors):
         flexure: wp.array(dtype=R)
         directors: wp.array(dtype=vec)  # (S,) in: at the stretch's end, out: at its start
         bent: wp.array2d(dtype=vec)  # (H, 8) of a substep's hinge forces: its nodes' x, their v, its two directors
-        turned: wp.array3d(dtype=vec)  # (2, S, 11) of an even and an odd substep's roll: three directors, four nodes' x before and after
-        rolled_natural: wp.array(dtype=two)  # (2 S,) by the roll: of the hinge before and the hinge after
-        rolled_flexure: wp.array(dtype=R)
-        hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient by forces
-        twist: wp.array(dtype=ph)  # (S,) and by rolls
+        turned: wp.array3d(
+            dtype=vec
+        )  # (2, S, 5) of an even and an odd substep's roll: the director and both nodes' x before, their x after
+        carried: wp.array(dtype=vec)  # (S,) of directors that were carried along, by the roll
+        rolled: wp.array(dtype=R)  # (S,) of a chain's torques
+        pivot: wp.array(dtype=two)  # (S,) of a chain's pivots and their floors, by what is added to them
+        wrung: wp.array2d(dtype=vec)  # (H, 5) of a hinge's torques: its nodes' x, its two directors
+        hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient
         faced: wp.array2d(dtype=vec)  # (F, 2) of a substep's forces: a facet's area vector, a third of its velocity
         faced_mass: wp.array(dtype=R)  # (F,) and the mass that it carries
         parts: wp.array2d(dtype=R)  # (B, warps) of the ratio of volumes

@@ -101,7 +101,23 @@ class Carrier:
     def array(kernels, name, tensor):
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {"directors", "bent", "turned", "face", "faced", "points", "per", "squeeze", "eased", "cells", "cell_home", "cell_at"}
+        vectors |= {
+            "directors",
+            "bent",
+            "turned",
+            "carried",
+            "wrung",
+            "factor",
+            "face",
+            "faced",
+            "points",
+            "per",
+            "squeeze",
+            "eased",
+            "cells",
+            "cell_home",
+            "cell_at",
+        }
         vectors |= {"point_home", "anchor", "push", "met_points", "curving", "slope", "panel_force", "paneled", "folded"}
         vectors |= {"pair_force", "paired"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
@@ -158,7 +174,8 @@ class World(Carrier):
                 **{k: values[k][ends] for k in ("rest", "stiffness")},
                 **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure", "load", "held")},
                 **dict(anchor=anchors, push=torch.empty_like(anchor)),
-                **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3)),
+                **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3), torque=empty(len(ways), len(values["flexure"]), 4)),
+                **dict(rolled=empty(len(ways) * len(directors)), factor=empty(len(directors), 4)),
                 **dict(face=empty(batch.facet_starts[-1], 3), swelling=empty(slots, len(batch.systems)), parts=batch.parts()),
                 **dict(
                     state=state.view(-1),
@@ -243,9 +260,8 @@ class Adjoint(Carrier):
         self.counts |= dict.fromkeys(("surface", "touch", "grip", *(["body"] if batch.pointed else [])), len(anchor))
         stages = {s: zeros(batch.laws.width(s), count=self.counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure", "load", "held")}
-        rods = dict(bent=zeros(8, 3, count=hinges), turned=zeros(segments, 11, 3, count=2))
-        rods |= dict(twist=zeros(batch.laws.width("hinge"), count=segments))
-        rods |= dict(rolled_natural=zeros(2, count=2 * segments), rolled_flexure=zeros(count=2 * segments))
+        rods = dict(bent=zeros(8, 3, count=hinges), wrung=zeros(5, 3, count=hinges), turned=zeros(segments, 5, 3, count=2))
+        rods |= dict(carried=zeros(3, count=segments), rolled=zeros(count=segments), pivot=zeros(2, count=segments))
         faced = dict(faced=zeros(2, 3, count=self.counts["facet"]), faced_mass=zeros(count=self.counts["facet"]), parts=batch.parts())
         super().__init__(
             batch.kernels,
@@ -281,7 +297,7 @@ class Adjoint(Carrier):
         nodal = [s for s in (*STAGED, "links") if s not in self.counts]
         shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
-        parts["hinge"] = by_system(t["hinge"], batch.hinge_starts) + by_system(t["twist"], batch.segment_starts)
+        parts["hinge"] = by_system(t["hinge"], batch.hinge_starts)
         parts["layer"] = by_system(t["layer"], batch.starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
         parts |= {s: by_system(t[s], batch.cell_starts) for s in CELLS}
@@ -291,9 +307,6 @@ class Adjoint(Carrier):
         for stage, part in parts.items():
             first = batch.laws.start(stage)
             table[:, first : first + part.shape[1]] = part
-        for rolled, hinges in batch.rolled:  # no hinge twice in one of them, so that sums repeat to the last bit
-            for name in ("natural", "flexure"):
-                t[name][hinges] += t[f"rolled_{name}"][rolled]
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = t["memory"][batch.lower_end]
@@ -375,7 +388,7 @@ def columns_of(batch) -> tuple[int, int]:
 
 
 SETTLED = 1e-3  # of a director's change in ``ROUND`` substeps: at rest
-ROUND, ROUNDS = 100, 20
+ROUND, ROUNDS = 20, 20  # a segment rolls by ``twist.ROLL`` at most in each, and may have half a turn to go
 STOPPED = 1e-9  # s: a clock that all but stands, so that directors relax and nothing else moves
 
 

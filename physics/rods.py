@@ -1,4 +1,4 @@
-"""Discrete elastic rods: curvature and twist of hinges, the forces of their moments, and directors that follow the rope.
+"""Discrete elastic rods: curvature and twist of hinges, and the forces of their moments.
 
 A hinge of nodes a, b, c joins two segments with unit tangents t, u and has the curvature binormal kb = 2 t x u / (1 + t.u), of length
 2 tan(angle / 2). Where both segments belong to a chain they carry directors d, e across them (material frames d, t x d), and
@@ -12,29 +12,39 @@ Elsewhere any frame serves that does not twist from t to u, and only an amount o
 kappa, so that nodes feel -sum_k M_k grad kappa_k; the gradients, those of Bergou et al. 2010, section A, and of c by that of tau, also
 give the rates.
 
-Twist has no inertia: its waves are faster than a substep can follow. Directors are carried along by the smallest rotation of their
-segments (parallel transport in time; Bergou et al. 2010, section 4), and every substep takes one damped Jacobi step of all free segments'
-angles towards the balance of torques, for which a rope resists twist by a fifth of its bending stiffness at least (an elastic rod of round
-section: by 1 / (1 + Poisson's ratio) of it). A segment between two driven nodes is held: it is only carried along.
+How directors turn is in ``twist``.
 """
 
 import warp as wp
 
 from .hinges import FOLD, SHORT
 
-__all__ = ["make_rods", "reading", "rod_functions"]
+__all__ = ["make_rods", "reading", "rod_functions", "rod_geometry"]
 
-RELAXED = 0.6  # share of the Jacobi step that is taken: a free chain needs less than 1
-ROLL = 0.2  # rad, the most that a segment rolls in a substep
 WOUND = 0.05  # least cos(tau / 2) that counts: beyond 174 degrees of twist a frame half way is nowhere
-LIMP = 0.2  # of the bending stiffness: a rope that resists twist by less would wind itself up; its directors rest as if it did by this
 BLUNT = 1.0e-3  # rad: below this angle a hinge without directors forgets which way it was bent by nature
-IDLE = 1.0e-12  # N m: stiffness against roll that counts as none
 
 
-def rod_functions(kit):
-    """(framed forces, plain forces, roll): pure functions of positions, velocities and directors."""
-    R, vec, ph, law = kit.R, kit.vec, kit.vectors["hinge"], kit.laws.hinge
+def rod_geometry(kit):
+    """(carried, tangent, measured): a director turned to another tangent, a segment's tangent, a hinge's curvatures and twist."""
+    R, vec = kit.R, kit.vec
+    carried, tangent, folded, twist_of, halved = _parts(kit)
+
+    @wp.func
+    def measured(a: vec, b: vec, c: vec, d: vec, e: vec):
+        """(kappa_1, kappa_2, tau) of a hinge between two segments with directors."""
+        t = tangent(a, b)
+        u = tangent(b, c)
+        kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
+        tau = twist_of(t, u, d, e)
+        half = R(0.5) * halved(tau)
+        return vec(wp.dot(kb, wp.cross(t, d) + wp.cross(u, e)) * half, -wp.dot(kb, d + e) * half, tau)
+
+    return carried, tangent, measured
+
+
+def _parts(kit):
+    R, vec = kit.R, kit.vec
 
     @wp.func
     def carried(d: vec, t: vec, u: vec):
@@ -60,6 +70,14 @@ def rod_functions(kit):
     def halved(tau: R):
         """1 / cos(tau / 2)."""
         return R(1.0) / wp.max(wp.cos(R(0.5) * tau), R(WOUND))
+
+    return carried, tangent, folded, twist_of, halved
+
+
+def rod_functions(kit):
+    """(framed forces, plain forces): pure functions of positions, velocities and directors."""
+    R, vec, ph, law = kit.R, kit.vec, kit.vectors["hinge"], kit.laws.hinge
+    carried, tangent, folded, twist_of, halved = _parts(kit)
 
     @wp.func
     def pushed(
@@ -156,66 +174,7 @@ def rod_functions(kit):
         fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(0.0), R(0.0), -way[1], way[0], wanted, span, flexure, p)
         return fa, fc
 
-    @wp.func
-    def resisted(t: vec, u: vec, d: vec, e: vec, side: R, natural: vec, span: R, flexure: R, p: ph):
-        """(slope, curvature) of a hinge's energy as the segment after it (``side`` 1) or before it (-1) rolls.
-
-        The frame half way rolls by half of that: (kappa_1, kappa_2)' = (kappa_2, -kappa_1) / 2. The law's stiffness is what a unit of each
-        component changes. For the second derivative's part from the frame's own turning, -M . kappa / 4, its bound |M| |kappa| / 4 is
-        taken: the step is downhill, and short where the torque is greatest.
-        """
-        kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
-        tau = twist_of(t, u, d, e)
-        half = R(0.5) * halved(tau)
-        kappa = vec(wp.dot(kb, wp.cross(t, d) + wp.cross(u, e)) * half, -wp.dot(kb, d + e) * half, tau)
-        k1 = R(0.5) * kappa[1]
-        k2 = R(-0.5) * kappa[0]
-        m = law(kappa, vec(), natural, span, p)
-        s1 = law(kappa + vec(R(1.0), R(0.0), R(0.0)), vec(), natural, span, p)[0] - m[0]
-        s2 = law(kappa + vec(R(0.0), R(1.0), R(0.0)), vec(), natural, span, p)[1] - m[1]
-        s3 = law(kappa + vec(R(0.0), R(0.0), R(1.0)), vec(), natural, span, p)[2] - m[2]
-        firm = wp.max(R(0.5 * LIMP) * (s1 + s2) - s3, R(0.0))
-        slope = m[0] * k1 + m[1] * k2 + (m[2] + firm * tau) * side
-        bend = s1 * k1 * k1 + s2 * k2 * k2 + s3 + firm + R(0.25) * wp.sqrt((m[0] * m[0] + m[1] * m[1]) * wp.dot(kb, kb) + R(IDLE * IDLE))
-        return slope * flexure, bend * flexure
-
-    @wp.func
-    def roll(
-        d0: vec,
-        d1: vec,
-        d2: vec,
-        a: vec,
-        b: vec,
-        c: vec,
-        d: vec,
-        a2: vec,
-        b2: vec,
-        c2: vec,
-        d2_: vec,
-        natural0: vec,
-        natural1: vec,
-        span0: R,
-        span1: R,
-        flexure0: R,
-        flexure1: R,
-        free: R,
-        p: ph,
-    ):
-        """The director of segment b-c after a substep, from those of the segments a-b, b-c, c-d before it and old and new positions."""
-        t0 = tangent(a2, b2)
-        t1 = tangent(b2, c2)
-        t2 = tangent(c2, d2_)
-        e0 = carried(d0, tangent(a, b), t0)
-        e1 = carried(d1, tangent(b, c), t1)
-        e2 = carried(d2, tangent(c, d), t2)
-        across = wp.cross(t1, e1)
-        slope0, bend0 = resisted(t0, t1, e0, e1, R(1.0), natural0, span0, flexure0, p)
-        slope1, bend1 = resisted(t1, t2, e1, e2, R(-1.0), natural1, span1, flexure1, p)
-        step = -(slope0 + slope1) / (bend0 + bend1 + R(IDLE)) * R(RELAXED)
-        angle = wp.clamp(step, R(-ROLL), R(ROLL)) * free
-        return e1 * wp.cos(angle) + across * wp.sin(angle)
-
-    return framed, plain, roll
+    return framed, plain
 
 
 def reading(kit):
@@ -231,37 +190,19 @@ def reading(kit):
         return vec(n[0], n[1], R(0.0)), w.span[h], w.flexure[h]
 
     @wp.func
-    def stretch_of(w: World, slot: int, s: int, h0: int, h1: int):
-        """Positions of the four nodes around segment ``s``; past an end of the rope it goes straight on."""
-        b = get_x(w.state, slot * w.nodes + w.segment[s, 0])
-        c = get_x(w.state, slot * w.nodes + w.segment[s, 1])
-        a = b + b - c
-        d = c + c - b
-        if h0 >= 0:
-            a = get_x(w.state, slot * w.nodes + w.joint[h0, 0])
-        if h1 >= 0:
-            d = get_x(w.state, slot * w.nodes + w.joint[h1, 2])
-        return a, b, c, d
+    def between(w: World, slot: int, s: int):
+        """Positions of the nodes of segment ``s``."""
+        return get_x(w.state, slot * w.nodes + w.segment[s, 0]), get_x(w.state, slot * w.nodes + w.segment[s, 1])
 
-    @wp.func
-    def directors_of(w: World, slot: int, s: int, h0: int, h1: int):
-        d0 = w.directors[slot, s]
-        d2 = w.directors[slot, s]
-        if h0 >= 0:
-            d0 = w.directors[slot, w.sides[h0, 0]]
-        if h1 >= 0:
-            d2 = w.directors[slot, w.sides[h1, 1]]
-        return d0, w.directors[slot, s], d2
-
-    return natural_of, stretch_of, directors_of
+    return natural_of, between
 
 
 def make_rods(kit):
-    """(bend, bent, turn): a hinge's forces, what a node gets of them, a segment's next director."""
+    """(bend, bent): a hinge's forces, what a node gets of them."""
     vec, World, ph = kit.vec, kit.World, kit.vectors["hinge"]
     get_x, get_v = kit.get_x, kit.get_v
-    framed, plain, roll = rod_functions(kit)
-    natural_of, stretch_of, directors_of = reading(kit)
+    framed, plain = rod_functions(kit)
+    natural_of, _ = reading(kit)
 
     @wp.func
     def bend(w: World, slot: int, h: int, p: ph):
@@ -302,15 +243,4 @@ def make_rods(kit):
                 f -= w.moment[h, 0] + w.moment[h, 1]
         return f
 
-    @wp.func
-    def turn(w: World, here: int, there: int, s: int, p: ph):
-        h0 = w.ends[s, 0]
-        h1 = w.ends[s, 1]
-        n0, span0, flexure0 = natural_of(w, h0)
-        n1, span1, flexure1 = natural_of(w, h1)
-        a, b, c, d = stretch_of(w, here, s, h0, h1)
-        a2, b2, c2, d2 = stretch_of(w, there, s, h0, h1)
-        e0, e1, e2 = directors_of(w, here, s, h0, h1)
-        w.directors[there, s] = roll(e0, e1, e2, a, b, c, d, a2, b2, c2, d2, n0, n1, span0, span1, flexure0, flexure1, w.loose[s], p)
-
-    return bend, bent, turn
+    return bend, bent

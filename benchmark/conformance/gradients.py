@@ -90,7 +90,8 @@ VALUES = dict(
     layer_friction=0.4,
 )
 POINTS = ("surface", "touch", "grip")  # stages at points of the material
-READ_BY = {"natural_curvature": Bending}  # terms that only change what another one reads
+# terms that only change what another one reads, or resist what only another one does: a rope twists where its natural curvature asks for it
+READ_BY = {"natural_curvature": Bending, "torsion": Bending}
 REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035
 
 
@@ -103,7 +104,7 @@ def of_every_parameter(term) -> None:
     elif term.stage in SHEETS:
         batch = Batch([draped(term, seed=seed) for seed in (0, 1)], fps=30, substeps=4 * SUBSTEPS, double=True, workers=1)
     else:
-        batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 12) a contact hangs on collision_dist to within h
+        batch = batch_of(kinds_with(term), seeds=(0, 1))  # with (8, 16) a contact hangs on collision_dist to within h
     inputs = leaves(batch)
     loss(batch, inputs).backward()
     columns = [batch.column(p.name) for p in term.parameters]
@@ -260,7 +261,7 @@ def make(kinds, *, grip=True, count=PARTICLES, seed=0):
     )
 
 
-def batch_of(kinds, *, grip=True, double=True, seeds=(8, 12)):
+def batch_of(kinds, *, grip=True, double=True, seeds=(8, 16)):
     # with other seeds a contact begins or a spring yields within h of the start: a jump, no derivative
     return Batch([make(kinds, grip=grip, seed=s) for s in seeds], fps=30, substeps=SUBSTEPS, double=double, workers=1)
 
@@ -289,7 +290,14 @@ def central_difference(batch, inputs, name, index, **window):
     flat = values[name].view(-1)
     u = abs(flat[index].item())
     h = min(1e-7 * max(0.1, u), 1e-6 * u if name == "table" and u else 1.0)  # some parameters are small
-    small = {"directors": 1e-6, "memory": 1e-7, "cell_memory": 1e-7, "load": 1e-9, "held": 1e-6}  # which matter little: rounding counts
+    small = {
+        "directors": 1e-5,
+        "flexure": 1e-5,
+        "memory": 1e-7,
+        "cell_memory": 1e-7,
+        "load": 1e-9,
+        "held": 1e-6,
+    }  # which matter little: rounding counts
     h = small.get(name, h)
     if name == "mass" and u < 1e-3:  # a node in the corner of a cell, with next to nothing around it
         h = 1e-5 * u

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,9 +70,17 @@ def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Sig
         for candidate in dict.fromkeys(id(c) for c, _ in plan):
             own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
             moved = [k for k in own if np.isfinite(columns[k]).all() and motion_of(columns[k]) * abs(_most(plan[k])) > SMALLEST]
-            if len(moved) == len(own):
-                found.append(_scaled(plan[own[0]][0], columns[own], config))
+            if moved:
+                found.append(_scaled(_of_amounts(plan[own[0]][0], [plan[k][1] for k in moved]), columns[moved], config))
     return found
+
+
+def _of_amounts(candidate: Candidate, kept: list[int]) -> Candidate:
+    """``candidate`` with the amounts that show: what a tilt has along gravity moves nothing."""
+    effect = candidate.effect
+    if len(kept) == len(effect.amounts):
+        return candidate
+    return replace(candidate, effect=replace(effect, amounts=tuple(effect.amounts[j] for j in kept)))
 
 
 def _most(entry) -> float:

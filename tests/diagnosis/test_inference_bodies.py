@@ -113,6 +113,8 @@ def test_signatures_are_measured_in_mm_and_absent_effects_are_zero(twin, recordi
         assert 1e3 * np.sqrt(3 * np.mean(one.columns**2, 0)) == pytest.approx(np.ones(one.columns.shape[1]), rel=1e-6)
     names = {one.name for one in found}
     assert {"wind", "added_mass", "grip_compliance", "viscoelastic"} <= names <= {e.name for e in effects("solid")}
+    tilt = next(one for one in found if one.name == "gravity_tilt")  # along gravity it has no part: of that it is not asked
+    assert [a.name for a in tilt.candidate.effect.amounts] == ["tilt_x", "tilt_y"] and tilt.columns.shape[1] == 2
     drag = next(one for one in found if one.name == "quadratic_drag")  # a twin that has the law at nothing is the twin
     there = forward.with_effects([drag.candidate])
     assert there.rows([{**forward.values(np.zeros(2)), **drag.candidate.values([0.0])}])[0] == pytest.approx(reference, abs=1e-7)

@@ -137,11 +137,11 @@ def test_gradients_are_those_of_finite_differences(name):
 
     table = batch.inputs.table.clone().requires_grad_()
     (slope,) = torch.autograd.grad(loss(table), table)
-    k, step = batch.column(name), 1e-6
+    k, step = batch.column(name), 1e-7  # in its plane the rope rests unstably, so that third derivatives are large
     up, down = batch.inputs.table.clone(), batch.inputs.table.clone()
     up[0, k] += step
     down[0, k] -= step
-    assert slope[0, k].item() == pytest.approx((loss(up) - loss(down)).item() / (2 * step), rel=1e-5)  # central: error of order step^2
+    assert slope[0, k].item() == pytest.approx((loss(up) - loss(down)).item() / (2 * step), rel=1e-5)  # error of order step^2
 
 
 def test_braces_are_the_springs_that_skip_nodes_of_a_rope():
