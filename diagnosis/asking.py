@@ -17,11 +17,12 @@ from ..methods.continuum.estimate import own_values
 from ..methods.continuum.twin import ContinuumTwin
 from ..methods.continuum.unknowns import Unknown
 from .config import DiagnosisConfig
+from .experiment import OPEN, planned
 from .inference.blocks import is_marked
 from .inference.contrast import comparable
 from .inference.peers import compared, there
 from .inference.phases import Answer, Evidence, Named, gathered, weighed
-from .outcome import Outcome
+from .outcome import Outcome, verdict_of
 from .suitable import suitable
 
 __all__ = ["Asked", "ask", "asked", "sound_twin", "told_twin"]
@@ -146,7 +147,11 @@ def ask(
     runs = []
     for k, (one, _) in enumerate(parts):
         runs.append([_run(twin, one, first=not k) for twin in (found.twin, found.told)])
-    return Outcome.of(found, parts, runs, config, seconds=time.time() - begun)
+    verdict, names = verdict_of(found.answer, config)
+    if verdict in OPEN:
+        progress("looking for a motion that would tell more")
+    plan = planned(found.evidence, found.answer, verdict, names, config)
+    return Outcome.of(found, parts, runs, config, plan=plan, seconds=time.time() - begun)
 
 
 def _run(twin: ContinuumTwin | None, recording: Scenario, *, first: bool) -> np.ndarray | None:

@@ -38,6 +38,7 @@ class DiagnosisConfig:
                 takes twenty
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
+    planned     motions that members run through where a recording leaves something open, each at twice the cost of the members
     strengths   of the prior covariance, in members; ``memories`` [s] and ``reaches`` (of the body's extent) of its correlation. They are
                 chosen by the score of members left out; 0 is no correlation
     """
@@ -62,6 +63,7 @@ class DiagnosisConfig:
     refitted: int = 4
     steps: int = 24
     parallel: float = 0.95
+    planned: int = 2
     strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
     memories: tuple[float, ...] = (0.0, 0.15, 0.5, 1.5)
     reaches: tuple[float, ...] = (0.0, 0.15, 0.4)

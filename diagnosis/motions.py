@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..methods.continuum.hands import labels_of
-from .replica import Replica
+from ..datasets.scenario import Observed
 
-__all__ = ["Motion", "Setting", "motions"]
+__all__ = ["Motion", "Setting", "motions", "place_words"]
 
 HIGH = 0.9  # of the body's extent above the table: then it hangs free
 RISE = 0.6  # m/s, of lifting
@@ -43,13 +42,15 @@ class Setting:
     fps: float
 
     @classmethod
-    def of(cls, replica: Replica) -> Setting:
-        """Of a replica that is held by at least one hand; raises ValueError where nobody holds it."""
-        recording, nodes = replica.recording, replica.nodes
+    def of(cls, recording: Observed, nodes: np.ndarray, hand: np.ndarray) -> Setting:
+        """Of a recording, points (n, 3) m of its body in frame 0, and which ``hand`` (C,) each controller belongs to.
+
+        Raises ValueError where nobody holds the body.
+        """
         start = recording.controllers[0]
         if not len(start):
             raise ValueError(f"{recording.name}: nobody holds the body, so that no motion can be planned")
-        hand = _hands(replica)
+        hand = _farthest_first(start, hand)
         centre = np.stack([start[hand == h].mean(0) for h in range(hand.max() + 1)])
         gravity = np.asarray(recording.gravity, float)
         up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
@@ -127,23 +128,24 @@ def motions(setting: Setting) -> list[Motion]:
     return found
 
 
-def _hands(replica):
-    """(C,) which hand each controller belongs to: points of one fist, and markers that follow each other along a rope; see ``Setting``."""
+def _farthest_first(start, label):
+    """(C,) hands numbered anew, the two farthest apart first."""
     from scipy.spatial.distance import cdist
 
-    start, system = replica.recording.controllers[0], replica.system
-    label = labels_of(start[None])
-    moved_by = {int(node): c for c, node in enumerate(system.grips) if node >= 0}
-    for chain in system.chains:
-        for a, b in zip(chain[:-1].tolist(), chain[1:].tolist(), strict=True):
-            if a in moved_by and b in moved_by:
-                label[label == label[moved_by[b]]] = label[moved_by[a]]
     label = np.unique(label, return_inverse=True)[1]
     centre = np.stack([start[label == h].mean(0) for h in range(label.max() + 1)])
     apart = cdist(centre, centre)
     first = np.unravel_index(int(apart.argmax()), apart.shape)
     order = list(dict.fromkeys([*sorted(int(h) for h in first), *range(len(centre))]))
     return np.argsort(order)[label]
+
+
+def place_words(metres: float, axis: np.ndarray, upright: bool) -> str:
+    """How far something is from a hand, along ``axis`` (3,), which points up if ``upright``."""
+    if upright:
+        return f"{1000 * abs(metres):.0f} mm {'above' if metres > 0 else 'below'}"
+    way = ", ".join(f"{c:.2f}" for c in np.sign(metres or 1.0) * axis + 0.0)
+    return f"{1000 * abs(metres):.0f} mm towards ({way}) from"
 
 
 def _level(way, up):

@@ -14,10 +14,11 @@ from ..datasets.temporary import replacing
 from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .effects import effects
+from .experiment import figures, proposed
 from .inference.phases import Answer, Evidence, Named
+from .inference.planning import Plan
 from .keeping import write_tracks, write_twins
 from .page.document import plain
-from .page.words import effect_name
 from .report import write_report
 
 __all__ = ["Outcome", "chance_of_sound", "verdict_of"]
@@ -36,8 +37,11 @@ class Outcome:
     twins: dict = field(default_factory=dict)
 
     @classmethod
-    def of(cls, found, parts: Sequence[tuple[Scenario, str]], runs, config: DiagnosisConfig, *, seconds: float) -> Outcome:
-        """Of an ``Asked``, the recordings and their roles, and of each the tracks (T, N, 3) m of the twin and of the told one, or None."""
+    def of(
+        cls, found, parts: Sequence[tuple[Scenario, str]], runs, config: DiagnosisConfig, *, plan: Plan | None = None, seconds: float
+    ) -> Outcome:
+        """Of an ``Asked``, the recordings and their roles, and of each the tracks (T, N, 3) m of the twin and of the told one, or None;
+        and the ``plan`` of what to record next."""
         answer, forward = found.answer, found.evidence.forward
         verdict, names = verdict_of(answer, config)
         first = answer.named[0] if names else None
@@ -58,7 +62,7 @@ class Outcome:
             "budget": [asdict(b) | {"recording": parts[b.record][0].name} for b in answer.budget],
             "detectable": _detectable(answer, found.evidence, "amount"),
             "detectable_mm": _detectable(answer, found.evidence, "mm"),
-            "experiment": _experiment(verdict, names),
+            "experiment": proposed(plan, verdict, names),
             "evidence": {
                 "hypotheses": _hypotheses(answer, found.evidence, names),
                 "noise_floor": floor,
@@ -67,6 +71,7 @@ class Outcome:
                 "curves": _curves(parts, runs, floor),
                 "twin": found.twin.values,
                 "told": found.told.values if found.told else None,
+                "plan": figures(plan, float(parts[0][0].fps)),
                 "rollouts": {"count": answer.runs, "seconds": answer.seconds},
             },
             "seconds": round(seconds, 1),
@@ -248,12 +253,6 @@ def _why(name: str, one: Named | None, names) -> str:
     if one.gain.share < one.gain.error:
         return "does not hold on the held-out frames"
     return "others are likelier"
-
-
-def _experiment(verdict: str, names) -> str | None:
-    known = {e.name: e for e in effects()}
-    motions = [f"{effect_name(n)}: {known[n].motion}" for n in names[:2] if known[n].motion]
-    return "What would show it best: " + "; ".join(motions) + "." if verdict == "ambiguous" and motions else None
 
 
 def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:

@@ -19,15 +19,17 @@ from typing import Any
 
 import numpy as np
 
+from ..methods.continuum.hands import labels_of
 from .fit import INDEPENDENT, Fit, floor_of
 from .inquiry import Inquiry
 from .model import Simulator
-from .motions import Motion, Setting, motions
+from .motions import Motion, Setting, motions, place_words
 from .parts import MARGIN
 from .refit import Verdictable
+from .replica import Replica
 from .verdict import Decision
 
-__all__ = ["Plan", "experiment", "plan"]
+__all__ = ["Plan", "experiment", "plan", "setting_of"]
 
 MODES = 6  # directions in which a fit is least sure, that may close the gap
 SHARE = 0.5  # of a standard deviation: step of finite differences
@@ -80,13 +82,25 @@ class Plan:
         return self.separation >= TELLING and self.look is not None
 
 
+def setting_of(replica: Replica) -> Setting:
+    """The hands around a replica: points of one fist are one hand, and so are markers that follow each other along a rope."""
+    start, system = replica.recording.controllers[0], replica.system
+    label = labels_of(start[None])
+    moved_by = {int(node): c for c, node in enumerate(system.grips) if node >= 0}
+    for chain in system.chains:
+        for a, b in zip(chain[:-1].tolist(), chain[1:].tolist(), strict=True):
+            if a in moved_by and b in moved_by:
+                label[label == label[moved_by[b]]] = label[moved_by[a]]
+    return Setting.of(replica.recording, replica.nodes, label)
+
+
 def plan(simulator: Simulator, rivals: Sequence[Side], *, error: float = 0.0, finest: float = 0.0) -> Plan | None:
     """The best motion to tell two ``rivals`` apart on the body of ``simulator``, or None where none can be simulated.
 
     error   m, by which such twins are off in free runs; finest: that nobody asks them for
     Raises ValueError where nobody holds the body.
     """
-    setting = Setting.of(simulator.replica)
+    setting = setting_of(simulator.replica)
     steps = [ceil(MARGIN * simulator.substeps(one.fit.model.terms, one.fit.values)) for one in rivals]
     found = []
     for motion in motions(setting):
@@ -235,19 +249,12 @@ def _words(setting, replica, rivals, motion, look) -> str:
     if look is None:
         return f"None of the motions that were simulated tells {a.name} from {b.name}: what either leaves open would make up for it."
     upright = np.array_equal(look.axis, setting.up)
-    first, second, border = (_offset(value, look.axis, upright) for value in (*look.offsets, sum(look.offsets) / 2))
+    first, second, border = (place_words(value, look.axis, upright) for value in (*look.offsets, sum(look.offsets) / 2))
     return (
         f"To tell {a.name} from {b.name}: {motion.says}. Then look at {_place(replica, setting, look.node)}, "
         f"{look.frame / setting.fps:.1f} s after the start: if {a.says}, it is {first} the hand; if {b.says}, {second} it, "
         f"give or take {1000 * look.within:.0f} mm. The border is {border} it."
     )
-
-
-def _offset(metres, axis, upright):
-    if upright:
-        return f"{1000 * abs(metres):.0f} mm {'above' if metres > 0 else 'below'}"
-    way = ", ".join(f"{c:.2f}" for c in np.sign(metres or 1.0) * axis + 0.0)
-    return f"{1000 * abs(metres):.0f} mm towards ({way}) from"
 
 
 def _place(replica, setting, node):

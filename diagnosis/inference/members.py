@@ -21,7 +21,7 @@ from ...physics.grids import embed
 from ..config import DiagnosisConfig
 from .forward import Forward
 
-__all__ = ["Member", "affordable", "drawn", "ran"]
+__all__ = ["Member", "affordable", "drawn", "ran", "scene_of"]
 
 LESS = 0.8  # of a shift that is too dear, again and again
 
@@ -79,15 +79,18 @@ def _steps(forward: Forward, shift) -> int:
 def ran(member: Member, forward: Forward, config: DiagnosisConfig) -> np.ndarray:
     """(B,) m, its block means; NaN where it diverged, or where no such body can be made."""
     try:
-        scenes = [_scene(s.scene, one.observed(), member, config) for s, one in zip(forward.simulators, forward.recordings, strict=True)]
+        scenes = [scene_of(member, s.scene, one.observed(), config) for s, one in zip(forward.simulators, forward.recordings, strict=True)]
         other = forward.with_scenes(scenes, member.finer)
         return other.at(member.shift, member.values)[0]
     except ValueError:
         return np.full(len(forward.data), np.nan)
 
 
-def _scene(scene: Scene, recording: Observed, member: Member, config: DiagnosisConfig) -> Scene:
-    """Another body in hands that are told by part of their controllers, where these are no markers on it."""
+def scene_of(member: Member, scene: Scene, recording: Observed, config: DiagnosisConfig) -> Scene:
+    """Another body in hands that are told by part of their controllers, where these are no markers on it.
+
+    Raises ValueError where no such body can be made.
+    """
     body = _body(scene.body, recording, member, config)
     if not config.dropped or (recording.grips >= 0).any():
         return replace(scene, body=body)

@@ -90,4 +90,6 @@ def compared(
     tell(f"signatures of {len(catalogue)} candidates")
     scatter = Scatter(members, noise, slopes[-1], forward.layout)
     posterior = forward.posterior(slopes[-1])
-    return Evidence(forward, reference, slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), from_recordings=True)
+    return Evidence(
+        forward, reference, slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), (), np.zeros((0, slopes.shape[-1]))
+    )

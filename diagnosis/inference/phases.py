@@ -16,7 +16,7 @@ from .budget import Budget, Detectable, budget, detectable
 from .controls import Controls
 from .covariance import Prior, Scatter, chosen
 from .forward import Forward
-from .members import drawn, ran
+from .members import Member, drawn, ran
 from .refit import Gain, Refit, gained, refitted
 from .scan import Signature, signatures
 from .significance import Significance, fitted_rows, significance
@@ -32,7 +32,8 @@ class Evidence:
 
     residual   (B,) m, of the sound twin, absorbed as members are; ``noisy`` (K, B) m: members' residuals as they would have been seen
     posterior  (B, B) m^2, of predictions, by the fit's covariance
-    from_recordings  whether members are sound recordings, see ``peers``
+    members    K that did not diverge, none where they are sound recordings (``peers``); ``settled`` (K, n): where the reference is that
+               was fitted to each, in prior standard deviations
     """
 
     forward: Forward
@@ -43,7 +44,13 @@ class Evidence:
     noisy: np.ndarray
     posterior: np.ndarray
     catalogue: tuple[Signature, ...]
-    from_recordings: bool = False
+    members: tuple[Member, ...]
+    settled: np.ndarray
+
+    @property
+    def from_recordings(self) -> bool:
+        """Whether members are sound recordings."""
+        return not self.members
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +122,10 @@ def gathered(
     noise, draw = forward.noise(paths)
     slopes = forward.slopes(reference)
     tell(f"slopes of {slopes.shape[1]} unknowns for {len(reference)} block means")
-    runs = np.array([ran(m, forward, config) for m in drawn(forward, config, seed)])
-    runs = runs[np.isfinite(runs).all(1)]
+    sound_twins = drawn(forward, config, seed)
+    runs = np.array([ran(m, forward, config) for m in sound_twins])
+    good = np.flatnonzero(np.isfinite(runs).all(1))
+    runs, kept = runs[good], tuple(sound_twins[k] for k in good)
     if len(runs) < 4:
         raise ValueError(f"at least 4 members must not diverge, got {len(runs)} of {config.members} (scenario {recordings[0].name})")
     tell(f"{len(runs)} sound twins")
@@ -124,11 +133,12 @@ def gathered(
     draws = np.array([draw(random) for _ in runs])
     sd = np.where(layout.fitted, np.sqrt(np.diag(noise)), np.inf)
     both = np.concatenate([runs, forward.data[None]])
-    left, _ = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
+    left, settled = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
     catalogue = signatures(forward, reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
     scatter = Scatter(left[:-1], noise, slopes, layout)
-    return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, forward.posterior(slopes), tuple(catalogue))
+    posterior = forward.posterior(slopes)
+    return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, posterior, tuple(catalogue), kept, settled[:-1])
 
 
 def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[str], None] | None = None) -> Answer:

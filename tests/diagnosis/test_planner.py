@@ -11,8 +11,8 @@ from twinbench.diagnosis import planner
 from twinbench.diagnosis.baseline import baseline_model
 from twinbench.diagnosis.fit import INDEPENDENT, Fit, Task, fit
 from twinbench.diagnosis.model import Knob, Simulator
-from twinbench.diagnosis.motions import LIBRARY, Setting, motions
-from twinbench.diagnosis.planner import Side, plan
+from twinbench.diagnosis.motions import LIBRARY, motions
+from twinbench.diagnosis.planner import Side, plan, setting_of
 from twinbench.diagnosis.replica import build_replica
 from twinbench.diagnosis.skins import heaviness
 from twinbench.diagnosis.verdict import Decision
@@ -136,7 +136,7 @@ def test_no_motion_is_better_than_the_planned_one(drags, monkeypatch):
     monkeypatch.setattr(planner, "motions", lambda setting: [m for m in motions(setting) if m.name != found.motion.name])
     rest = plan(simulator, sides(fits))
     assert rest.separation <= found.separation and rest.motion.name != found.motion.name
-    assert set(found.others) | {found.motion.name} == {m.name for m in motions(Setting.of(simulator.replica))}
+    assert set(found.others) | {found.motion.name} == {m.name for m in motions(setting_of(simulator.replica))}
 
 
 def test_what_a_fit_leaves_open_counts(drags):
@@ -177,7 +177,7 @@ def held(tiny, *, hands=2, table=False, gravity=(0.0, 0.0, -9.8)):
     grips = np.concatenate([HANDS[h] + around for h in range(hands)])
     given = dict(gravity=np.array(gravity), ground=Plane(np.array([0.0, 0.0, 1.0]), -0.01) if table else None)
     scenario = tiny.filmed(np.repeat(points[None], 12, 0), np.repeat(grips[None], 12, 0), **given)
-    return Setting.of(build_replica(scenario, nodes=100))
+    return setting_of(build_replica(scenario, nodes=100))
 
 
 @pytest.mark.parametrize("hands", [1, 2])
@@ -218,7 +218,7 @@ def test_markers_that_follow_each_other_along_a_rope_are_one_hand(tiny):
     rope = np.stack([s, 0 * s, 0.3 * s**2], 1)
     grips = np.array([6, 0, 12, 1, 11])
     scenario = tiny.filmed(np.repeat(rope[None], 12, 0), np.repeat(rope[None, grips], 12, 0), grips=grips)
-    setting = Setting.of(build_replica(scenario, nodes=100))
+    setting = setting_of(build_replica(scenario, nodes=100))
     assert setting.hand.tolist() == [2, 0, 1, 0, 1]
     np.testing.assert_allclose(setting.centre, [rope[:2].mean(0), rope[-2:].mean(0), rope[6]], atol=1e-9)
     pull = next(m for m in motions(setting) if m.name == "slow pull").controllers
@@ -230,7 +230,7 @@ def test_markers_that_follow_each_other_along_a_rope_are_one_hand(tiny):
 def test_nobody_holds_it(tiny):
     scenario = tiny.filmed(np.repeat(tiny.sheet(3, 3)[None], 12, 0), np.zeros((12, 0, 3)))
     with pytest.raises(ValueError, match="one: nobody holds the body, so that no motion can be planned"):
-        Setting.of(build_replica(scenario, nodes=100))
+        setting_of(build_replica(scenario, nodes=100))
 
 
 # ---------------------------------------------------------------- what a diagnosis says

@@ -1,0 +1,73 @@
+"""What to record next where recordings leave something open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .config import DiagnosisConfig
+from .effects import effects
+from .inference.phases import Answer, Evidence, Named
+from .inference.planning import Plan, Reading, plan
+from .page.words import effect_name
+
+__all__ = ["OPEN", "figures", "planned", "proposed", "readings_of"]
+
+OPEN = ("ambiguous", "unknown", "cannot_tell")  # verdicts after which another recording would help
+
+
+def planned(evidence: Evidence, answer: Answer, verdict: str, names: Sequence[str], config: DiagnosisConfig) -> Plan | None:
+    """The motion that tells best what ``verdict``, which rests on ``names``, leaves open; None where nothing is, or none runs."""
+    held = evidence.forward.recordings[0].controllers.shape[1] > 0
+    if verdict not in OPEN or not (config.planned and held and evidence.members) or evidence.forward.contrast is not None:
+        return None
+    readings = readings_of(evidence, answer, verdict, names)
+    return plan(evidence, answer.prior, readings, config) if readings else None
+
+
+def readings_of(evidence: Evidence, answer: Answer, verdict: str, names: Sequence[str]) -> tuple[Reading, Reading] | None:
+    """The two likeliest of ``names`` as they were refitted; what was refitted and nothing, where there is one; or, where nothing was found
+    and little could have been, nothing and the likeliest effect at the size at which it would have been found."""
+    refitted = [n for n in answer.named if not names or n.name in names]
+    if verdict != "cannot_tell":
+        found = [_of_refit(n) for n in refitted[:2]]
+        return (found[0], found[1] if len(found) > 1 else _nothing(evidence)) if found else None
+    likeliest = next(iter(answer.probabilities), None)
+    own = [k for k, s in enumerate(evidence.catalogue) if s.name == likeliest]
+    if not own:
+        return None
+    k = max(own, key=lambda k: answer.test.scores[k].log_evidence)
+    signature, amount = evidence.catalogue[k], evidence.catalogue[k].candidate.effect.amounts[0]
+    size = answer.detectable[k].size * signature.unit[0] * (1.0 if amount.high > 0 else -1.0)
+    amounts = np.zeros(len(signature.unit))
+    amounts[0] = np.clip(size, amount.low, amount.high)
+    candidate, nobody = signature.candidate, _nothing(evidence)
+    return Reading(effect_name(signature.name), candidate.effect.says, candidate, nobody.shift, amounts), nobody
+
+
+def _of_refit(one: Named) -> Reading:
+    return Reading(effect_name(one.name), one.candidate.effect.says, one.candidate, one.refit.shift, one.refit.amounts)
+
+
+def _nothing(evidence: Evidence) -> Reading:
+    return Reading("nothing", "nothing is missing", None, np.zeros(len(evidence.forward.unknowns)), np.zeros(0))
+
+
+def proposed(found: Plan | None, verdict: str, names: Sequence[str]) -> str | None:
+    """In words: what ``planned`` found, and where it found nothing that tells, what shows each of ``names`` in general."""
+    known = {e.name: e for e in effects()}
+    shown = "; ".join(f"{effect_name(n)}: {known[n].motion}" for n in names[:2] if known[n].motion)
+    by_word = f"What would show it best: {shown}." if verdict == "ambiguous" and shown else None
+    if found is None:
+        return by_word
+    return found.says if found.telling else " ".join(filter(None, (found.says, by_word)))
+
+
+def figures(found: Plan | None, fps: float) -> dict | None:
+    """What ``diagnosis.json`` keeps of a plan: the motion and its seconds, D of it and of the others that were looked into."""
+    if found is None:
+        return None
+    others = {name: round(d, 2) for name, d in sorted(found.others.items(), key=lambda item: -item[1])}
+    seconds = round(len(found.motion.controllers) / fps, 2)
+    return {"motion": found.motion.name, "seconds": seconds, "separation": round(found.separation, 2), "others": others}
