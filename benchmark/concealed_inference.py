@@ -99,7 +99,9 @@ def scored(answer: Answer, label: dict) -> dict:
     row = dict(
         effect=truth or "sound", verdict=answer.verdict, p=test.p, p_members=test.p_members, p_misfit=test.p_misfit, p_scan=test.p_scan
     )
-    row |= dict(far_misfit=test.standardised[0], far_scan=test.standardised[1], misfit=test.misfit, largest=test.largest)
+    row |= dict(zip(("far_misfit", "far_scan", "far_share"), test.standardised, strict=True)) | dict(
+        misfit=test.misfit, largest=test.largest
+    )
     row |= dict(prior=json.dumps(asdict(answer.prior)), budget=json.dumps([asdict(b) for b in answer.budget]))
     if answer.named:
         first = answer.named[0]

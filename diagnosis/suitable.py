@@ -10,6 +10,7 @@ from ..datasets.scenario import Scenario
 from ..methods.continuum.bodies import Body, bodies_of
 from .config import DiagnosisConfig
 from .inference.blocks import is_marked
+from .inference.controls import Controls, marked_kind
 
 __all__ = ["has_continuum", "suitable"]
 
@@ -22,17 +23,22 @@ KINDS = ("solid", "rope")
 LIKE = 1.6  # in size, of two recordings of one object: poses and views differ by less
 
 
-def has_continuum(one: Scenario) -> bool:
-    """Whether a continuum is asked of a recording unless somebody says otherwise: of a solid or a rope that is tracked all over.
+def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
+    """Whether a continuum is asked of a recording unless somebody says otherwise: of a solid or a rope that is tracked all over, and of a
+    cable with markers that stands alone, where frozen controls say how far its twin is off.
 
-    Markers that hands drive are few, and sound twins of cloths are not yet a measure of anything (``results/continuum.md``).
+    Sound twins of cloths are not yet a measure of anything (``results/continuum.md``), and of markers beside sound recordings a net of
+    springs still names more.
     """
-    if not one.correspond or (one.grips >= 0).any() or one.visible[0].sum() < POINTS:
+    config = DiagnosisConfig()
+    marked = is_marked(one, config)
+    if not one.correspond or (one.visible[0].sum() < POINTS and not marked) or ((one.grips >= 0).any() and not marked):
         return False
     try:
-        return _body(one).kind in KINDS
+        kind = _body(one).kind
     except ValueError:
         return False
+    return kind in KINDS if not marked else not fitted_on and Controls.of(marked_kind(kind), config) is not None
 
 
 def suitable(
@@ -49,11 +55,8 @@ def suitable(
     if not recordings:
         raise ValueError("at least one recording must be given, got none")
     first, config = recordings[0], config or DiagnosisConfig()
-    if is_marked(first, config) and not against and (len(recordings) != 1 or not fitted_on):
-        raise ValueError(
-            "markers are asked one recording at a time, beside others in which nothing is missing (fitted_on) or of the same command "
-            f"(against), got {len(recordings)} beside {len(fitted_on)} (scenario {first.name})"
-        )
+    if is_marked(first, config) and not against and len(recordings) != 1:
+        raise ValueError(f"markers are asked one recording at a time, got {len(recordings)} (scenario {first.name})")
     recordings = [*recordings, *fitted_on, *against]
     for one in (*recordings, *transfer):
         _enough(one, config)
@@ -66,6 +69,11 @@ def suitable(
             if _same(one, other):
                 raise ValueError(f"recordings must differ, got {other.name} twice (scenario {one.name})")
     body = _body(first)
+    if is_marked(first, config) and not (fitted_on or against) and Controls.of(marked_kind(body.kind), config) is None:
+        raise ValueError(
+            f"markers on a {body.kind} are asked beside recordings in which nothing is missing (fitted_on) or of the same command "
+            f"(against), since no frozen ones say how far a twin is off, got neither (scenario {first.name})"
+        )
     for one in (*recordings[1:], *transfer):
         _alike(body, first, one)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from functools import partial
 
 from . import __doc__ as told
 from . import bar, rope, sheet
@@ -14,7 +13,7 @@ from .comparison import ACCURACY, Engine, Tried, apart, chosen, clocked, measure
 SCENES = {
     "bar": (bar.Bar(), bar.engines),
     "rope": (rope.ROPE, rope.engines),
-    "thrown": (rope.THROWN, partial(rope.engines, twisted=True)),
+    "thrown": (rope.THROWN, rope.engines),
     "cable": (rope.CABLE, rope.engines),
     "sheet": (sheet.Sheet(), sheet.engines),
 }

@@ -78,10 +78,7 @@ class Rods(Ours):
     meshes = (MESH,)
     factors = (32, 16, 8, 4, 2, *Ours.factors)
 
-    def __init__(self, device: str = "cpu", workers: int | None = None, *, twisted: bool = False):
-        super().__init__(device, workers)
-        # single precision rounds by half a millimetre in 8000 steps a frame, more than steps are off by, but for twist
-        self.finest = Setting(MESH, 8000 if twisted else 1000)
+    finest = Setting(MESH, 1000)  # in 8000 a frame single precision rounds by half a millimetre and more, beyond what steps are off by
 
     def settings(self, body, mesh):
         return [one for one in super().settings(body, mesh) if 2 * one.substeps <= self.finest.substeps]
@@ -221,6 +218,6 @@ class Newtons(Newton):
             builder.body_qd[k] = (0.0, middle * body.spin, 0.0, 0.0, 0.0, body.spin)
 
 
-def engines(cuda: bool, *, twisted: bool = False) -> list[Engine]:
-    """All that are compared on a device; ``twisted``: of ropes that leave their plane."""
-    return [Rods("cuda", twisted=twisted), Newtons("cuda")] if cuda else [Rods(twisted=twisted), Chain(), Flexed()]
+def engines(cuda: bool) -> list[Engine]:
+    """All that are compared on a device."""
+    return [Rods("cuda"), Newtons("cuda")] if cuda else [Rods(), Chain(), Flexed()]

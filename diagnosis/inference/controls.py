@@ -1,7 +1,8 @@
 """Frozen sound recordings, among whose statistics those of a recording are judged.
 
 Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, and sound
-recordings hold errors that no member has. So each statistic, in deviations of its members', is compared with those of n recordings known to
+recordings hold errors that no member has. So each statistic, in deviations of its members', and for some kinds what a twin leaves of the
+motion, is compared with those of n recordings known to
 be sound, of the same kind of body and weighed with the same config. They are taken as draws of a Student t whose place, scale and degrees
 of freedom are the likeliest (Lange, Little & Taylor 1989): a sound recording that lies far out then makes the tail heavier and leaves the
 rest alone, and p goes on where ranks among n end at 1 / (1 + n).
@@ -23,12 +24,12 @@ import numpy as np
 from ...datasets.temporary import replacing
 from ..config import DiagnosisConfig
 
-__all__ = ["FILE", "Controls", "Tail", "frozen", "main"]
+__all__ = ["FILE", "Controls", "Tail", "frozen", "main", "marked_kind"]
 
 FILE = Path(__file__).parent / "controls.json"
 DEGREES = (2.0, 3.0, 4.0, 6.0, 10.0, 30.0)  # of freedom: 2 has no variance, 30 is a normal distribution
 STEPS = 100  # of expectation and maximisation: the slowest moves by less than 1e-6 then
-DECIDING = ("level", "motion", "refitted", "steps", "parallel", "members")  # fields that change no statistic of a recording
+DECIDING = ("level", "motion", "refitted", "steps", "parallel", "planned", "members")  # fields that change no statistic of a recording
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,11 @@ class Tail:
         return float(t.isf(p, self.degrees, self.place, self.scale))
 
 
+def marked_kind(kind: str) -> str:
+    """What controls call a ``kind`` of body of which a few markers are seen instead of its surface."""
+    return f"marked {kind}"
+
+
 def _located(values, degrees: float) -> Tail:
     place, square = float(np.median(values)), float(np.var(values)) + 1e-12
     for _ in range(STEPS):
@@ -72,7 +78,8 @@ def _located(values, degrees: float) -> Tail:
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """standardised (n, 2): of n sound recordings the misfit and the largest score, in deviations of their members'."""
+    """standardised (n, 2 or 3): of n sound recordings the misfit and the largest score, in deviations of their members', and for kinds of
+    which it is known what is left of the motion (``significance``)."""
 
     standardised: np.ndarray
 
@@ -92,13 +99,13 @@ class Controls:
         return tuple(Tail.of(values) for values in self.standardised.T)
 
     def p(self, standardised) -> float:
-        """Of a recording's two statistics: of the more surprising one, that either is."""
-        least = min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=True))
+        """Of a recording's statistics: of the most surprising one, that any is."""
+        least = min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=False))
         return 1 - (1 - least) ** len(self.tails)
 
     def alarming(self, level: float) -> float:
         """The largest score, in deviations of members', above which p is below ``level`` whatever the misfit."""
-        return self.tails[1].at(1 - np.sqrt(1 - level))
+        return self.tails[1].at(1 - (1 - level) ** (1 / len(self.tails)))
 
 
 @cache
@@ -119,16 +126,22 @@ def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
     kinds: dict[str, list[dict]] = {}
     for path in tables:
         table = pd.read_csv(path)
-        missing = {"set", "case", "kind", "effect", "far_misfit", "far_scan"} - set(table)
+        more = {name for kind in set(table.get("kind", ())) for name in _more(kind)}
+        missing = {"set", "case", "kind", "effect", "far_misfit", "far_scan", *more} - set(table)
         if missing:
             raise ValueError(f"{path}: a table of controls must have the columns {', '.join(sorted(missing))}")
         sound = table[table.effect == "sound"]
         if sound.empty:
             raise ValueError(f"{path}: a table of controls must have sound rows, got none in {len(table)}")
         for row in sound.itertuples():
-            values = [round(float(row.far_misfit), 4), round(float(row.far_scan), 4)]
+            values = [round(float(getattr(row, name)), 4) for name in ("far_misfit", "far_scan", *_more(row.kind))]
             kinds.setdefault(row.kind, []).append({"set": row.set, "case": row.case, "standardised": values})
     return {"config": _shaping(config), "kinds": {kind: sorted(rows, key=lambda r: (r["set"], r["case"])) for kind, rows in kinds.items()}}
+
+
+def _more(kind: str) -> tuple[str, ...]:
+    """Further statistics of a kind: what is left of the motion where it is a twin's, and not the tracks', as that of markers is."""
+    return ("far_share",) if kind.startswith(marked_kind("")) else ()
 
 
 def main(arguments=None) -> None:

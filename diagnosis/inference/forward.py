@@ -111,6 +111,12 @@ class Forward:
         return self.mixed(np.concatenate([b.data for b in self.blocks]))
 
     @property
+    def motion(self) -> np.ndarray:
+        """(B,) m, of the data from where their parts of the body were in frame 0."""
+        layout = self.layout
+        return self.data - (layout.place[np.arange(len(layout.axis)), layout.axis] if self.contrast is None else 0.0)
+
+    @property
     def layout(self) -> Layout:
         """What each of the B values is."""
         parts = [b.layout(r) for r, b in enumerate(self.blocks)]

@@ -1,9 +1,10 @@
-"""Whether a sound twin explains the recordings: misfit and the largest score, each against those of members left out.
+"""Whether a sound twin explains the recordings: misfit and the largest score, each against those of members left out, and what is left.
 
 K members alone cannot resolve 5 % by their ranks. Logarithms of both statistics are nearly normal over members, so that one more sound
 recording's lies where a Student t with K - 1 degrees of freedom says, around their mean with their deviation times sqrt(1 + 1 / K): the
 prediction interval of a normal sample. That the best of the whole catalogue was taken is in the null, since members take their best.
-Where there are frozen sound recordings of the kind, they say how such deviations are distributed (``controls``).
+Where there are frozen sound recordings of the kind, they say how such deviations are distributed (``controls``), and may say how much of
+its motion a sound body's twin leaves: where a hand is kept back a twin is fitted to nonsense, among whose members anything is usual.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ class Significance:
 
     p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
-    standardised  (2,) the recordings' statistics in deviations of the members': what is pooled over controls
+    standardised  what is pooled over controls: the recordings' two statistics in deviations of the members', and the logarithm of the
+                  residual over the motion, both RMS
     """
 
     p: float
@@ -38,7 +40,7 @@ class Significance:
     largest: float
     misfits: tuple[float, ...]
     largests: tuple[float, ...]
-    standardised: tuple[float, float]
+    standardised: tuple[float, float, float]
     scores: tuple[Score, ...]
     controls: Controls | None = None
 
@@ -73,12 +75,14 @@ def significance(
     residual,
     noisy,
     catalogue: Sequence[Signature],
+    motion,
     *,
     controls: Controls | None = None,
 ) -> Significance:
     """The test of ``residual`` (B,) m, of the fitted block means alone.
 
     noisy (K, B)  the members as they would have been seen; member k is weighed without itself
+    motion (B,)   m, of the block means since frame 0
     controls      frozen sound recordings of the kind, or None
     """
     rows, away = np.flatnonzero(scatter.layout.fitted), np.flatnonzero(~scatter.layout.fitted)
@@ -93,11 +97,15 @@ def significance(
     largest = _largest(found)
     (p_misfit, far_misfit), (p_scan, far_scan) = predictive(misfit, misfits), predictive(largest, largests)
     p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
-    standardised = far_misfit, far_scan
+    standardised = far_misfit, far_scan, float(np.log(max(_rms(residual), 1e-9) / max(_rms(np.asarray(motion)[rows]), 1e-9)))
     p = controls.p(standardised) if controls else p_members
     return Significance(
         p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls
     )
+
+
+def _rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _misfits(scatter: Scatter, prior: Prior, residual, noisy) -> tuple[float, list[float]]:

@@ -71,6 +71,23 @@ def test_sound_rows_are_frozen_and_used_for_their_kind_and_config_alone(tmp_path
     assert Controls.of("rope", replace(config, level=0.02)) is None  # of 40, one is more than 2 %
 
 
+def test_what_a_twin_leaves_of_the_motion_counts_where_it_was_frozen(tmp_path):
+    # markers on a rope: 7 % of the motion is usual (a logarithm of -2.7, 0.4 around it); with all of it left, a recording is no sound one
+    # though its members, spread as wildly, take it for one of them
+    random = np.random.default_rng(3)
+    three = np.c_[random.normal(size=(40, 2)), random.normal(-2.7, 0.4, 40)]
+    known = Controls(three)
+    assert len(known.tails) == 3 and known.p((0.0, 0.0, 0.0)) < 1e-3 < 0.2 < known.p((0.0, 0.0, -2.7))
+    assert Controls(three[:, :2]).p((0.0, 0.0, 0.0)) > 0.2  # of kinds without it the third is not looked at
+    marked = pd.read_csv(table(tmp_path, 40, kind="marked rope"))
+    marked.to_csv(tmp_path / "short.csv", index=False)
+    with pytest.raises(ValueError, match="far_share"):
+        frozen([tmp_path / "short.csv"], DiagnosisConfig())
+    marked.assign(far_share=-2.5).to_csv(tmp_path / "whole.csv", index=False)
+    rows = frozen([tmp_path / "whole.csv"], DiagnosisConfig())["kinds"]["marked rope"]
+    assert len(rows) == 40 and all(row["standardised"][2] == -2.5 for row in rows)
+
+
 def test_a_table_that_tells_nothing_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"table.csv: .* sound rows"):
         frozen([table(tmp_path, 5, effect="wind")], DiagnosisConfig())

@@ -72,7 +72,7 @@ class World:
 
     def asked(self, measured):
         scatter, residual, noisy = self.evidence(measured)
-        return significance(scatter, PRIOR, residual, noisy, self.catalogue)
+        return significance(scatter, PRIOR, residual, noisy, self.catalogue, np.ones(SIZE))
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,7 @@ def test_what_is_not_fitted_is_not_absorbed_but_predicted():
 def test_a_recording_against_itself_is_nothing():
     world = World(4)
     scatter, _, noisy = world.evidence(world.reference)
-    found = significance(scatter, PRIOR, np.zeros(SIZE), noisy, world.catalogue)
+    found = significance(scatter, PRIOR, np.zeros(SIZE), noisy, world.catalogue, np.ones(SIZE))
     assert found.misfit == 0
     assert found.p > 0.9
     assert all(s.log_evidence <= 0 and s.sizes == (0.0,) for s in found.scores)
@@ -327,14 +327,14 @@ def test_gains_are_paired():
 def test_what_is_detectable_is_detected():
     world = World(11)
     scatter, _, noisy = world.evidence(world.reference)
-    test = significance(scatter, PRIOR, np.zeros(SIZE), noisy, world.catalogue)
+    test = significance(scatter, PRIOR, np.zeros(SIZE), noisy, world.catalogue, np.ones(SIZE))
     sizes = detectable(scatter, PRIOR, test, world.catalogue, 0.03)
     hits = []
     for draw in range(40):
         k = draw % len(world.catalogue)
         measured = world.sound(1)[0] + sizes[k].size * world.catalogue[k].columns[:, 0] + world.noise()
         left, _ = absorb(measured[None], world.reference, world.slopes, np.full(SIZE, NOISE), world.run, NOWHERE, rounds=2)
-        hits.append(significance(scatter, PRIOR, left[0], noisy, world.catalogue).p < 0.03)
+        hits.append(significance(scatter, PRIOR, left[0], noisy, world.catalogue, np.ones(SIZE)).p < 0.03)
     assert np.mean(hits) > 0.7  # 0.95 were the members' covariance exact; 0.7 is what ten members come to
 
 

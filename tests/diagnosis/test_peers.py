@@ -81,7 +81,8 @@ def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
 def test_what_sound_ones_have_not_is_found_and_named(twin, sound):
     found = asked([recording(23, (Wind(),), wind_y=3.0, wind_speed=3.0)], CONFIG, fitted_on=sound, twin=twin)
     assert found.answer.test.p < 1e-3
-    assert next(iter(found.answer.probabilities)) == "wind"
+    # a steady wind pulls a cable of one thickness as gravity that points another way does: one of the two comes first, the other next
+    assert set(list(found.answer.probabilities)[:2]) == {"wind", "gravity_tilt"}
     assert found.evidence.from_recordings and found.twin.scene.name == "swing23"
 
 
@@ -112,15 +113,17 @@ def test_where_it_is_laid_it_starts_as_the_recording_does(twin, sound):
         there(replace(twin, posterior=own), sound[3])
 
 
-def test_what_cannot_be_compared_is_refused(twin, sound):
+def test_what_cannot_be_compared_is_refused(twin, sound, monkeypatch):
     case = recording(25)
     assert is_marked(case, CONFIG)
     with pytest.raises(ValueError, match=rf"at least {FEWEST} recordings .* got 7 \(scenario swing25\)"):
         compared(twin, case, sound[:7], CONFIG)
-    with pytest.raises(ValueError, match=r"markers are asked one recording at a time, .* got 1 beside 0 \(scenario swing25\)"):
-        ask([case], config=CONFIG)
-    with pytest.raises(ValueError, match="markers are asked one recording at a time"):
-        suitable([case])  # as continuum+diagnosed asks
+    with pytest.raises(ValueError, match=r"markers are asked one recording at a time, got 2 \(scenario swing25\)"):
+        ask([case, sound[3]], fitted_on=sound[:1], config=CONFIG)
+    suitable([case])  # frozen sound cables say how far a twin is off
+    monkeypatch.setattr("twinbench.diagnosis.inference.controls._known", lambda: {"config": {}, "kinds": {}})
+    with pytest.raises(ValueError, match=r"markers on a rope are asked beside recordings in which nothing is missing .*swing25"):
+        suitable([case])
     with pytest.raises(ValueError, match="at least 3 markers seen in frame 0 that no hand drives, got 2"):
         ask([replace(case, grips=np.arange(7), controllers=case.points[:, :7])], fitted_on=sound, config=CONFIG)
     first = {name: getattr(sound[0], name)[:30] for name in ("points", "visible", "motion_valid", "controllers")}

@@ -42,7 +42,9 @@ def hinged(body):
     hinges = np.concatenate([rope_hinges(chain), sheet_hinges(body.positions, body.springs)])
     hinges = hinges[np.sort(np.unique(np.sort(hinges, axis=1), axis=0, return_index=True)[1])]
     laws = (Bending({"bending_stiffness": 1e-4}), BendingDamping({"bending_damping": 1e-7}), Torsion({"torsion_stiffness": 1e-4}))
-    own = dict.fromkeys(("natural", "span", "flexure"))  # of these hinges, not of the body"s none
+    # bent by nature, so that there is one way in which the rope rests: a straight one rolls about itself by what rounding says
+    natural = np.random.default_rng(0).uniform(-0.3, 0.3, (len(hinges), 2))
+    own: dict = dict(natural=natural, span=None, flexure=None)  # of these hinges, not of the body's none
     return replace(body, hinges=hinges, chains=[chain], terms=(*body.terms, *laws), **own)
 
 
