@@ -103,6 +103,11 @@ class Controls:
         least = min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=False))
         return 1 - (1 - least) ** len(self.tails)
 
+    def usual(self, share: float, level: float) -> bool:
+        """Whether as much of the motion as ``share`` says (a logarithm) is left in more than ``level`` of sound recordings, where that is
+        known."""
+        return len(self.tails) < 3 or self.tails[2].beyond(share) >= level
+
     def alarming(self, level: float) -> float:
         """The largest score, in deviations of members', above which p is below ``level`` whatever the misfit."""
         return self.tails[1].at(1 - (1 - level) ** (1 / len(self.tails)))

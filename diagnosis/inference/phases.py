@@ -19,7 +19,7 @@ from .forward import Forward
 from .members import Member, drawn, ran
 from .refit import Gain, Refit, gained, refitted
 from .scan import Signature, signatures
-from .significance import Significance, fitted_rows, significance
+from .significance import Significance, fitted_rows, left_of, significance
 
 __all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "weighed"]
 
@@ -171,7 +171,8 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     tell(f"{len(refits)} candidates refitted")
     best = [(e.catalogue[best[name]], found) for name, found in refits.items()]
     named = sorted((_named(e, s, r, sound, chances) for s, r in best), key=lambda n: -n.probability)
-    verdict = "adequate" if not alarm else "named" if named and _confirmed(named[0]) else "unknown"
+    confirmed = bool(named) and _confirmed(named[0]) and _explains(e, named[0].refit, rows, controls, config)
+    verdict = "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
     return Answer(
@@ -230,6 +231,12 @@ def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chance
 def _confirmed(first: Named) -> bool:
     """Whether it gains on frames that nobody fitted, by more than a standard error, or there are none to gain on."""
     return bool(np.isnan(first.gain.share) or first.gain.share > first.gain.error)
+
+
+def _explains(e: Evidence, refit: Refit, rows, controls: Controls | None, config: DiagnosisConfig) -> bool:
+    """Whether the twin with it leaves no more of the motion than sound twins do, where controls say how much that is."""
+    share = left_of((e.forward.data - refit.prediction)[rows], e.forward.motion[rows])
+    return controls is None or controls.usual(share, config.level)
 
 
 def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisConfig) -> tuple[str, ...]:

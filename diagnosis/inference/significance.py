@@ -18,7 +18,7 @@ from .controls import Controls
 from .covariance import Prior, Scatter
 from .scan import Score, Signature, scores
 
-__all__ = ["Significance", "fitted_rows", "predictive", "significance"]
+__all__ = ["Significance", "fitted_rows", "left_of", "predictive", "significance"]
 
 
 @dataclass(frozen=True)
@@ -97,15 +97,17 @@ def significance(
     largest = _largest(found)
     (p_misfit, far_misfit), (p_scan, far_scan) = predictive(misfit, misfits), predictive(largest, largests)
     p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
-    standardised = far_misfit, far_scan, float(np.log(max(_rms(residual), 1e-9) / max(_rms(np.asarray(motion)[rows]), 1e-9)))
+    standardised = far_misfit, far_scan, left_of(residual, np.asarray(motion)[rows])
     p = controls.p(standardised) if controls else p_members
     return Significance(
         p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls
     )
 
 
-def _rms(values) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def left_of(residual, motion) -> float:
+    """Logarithm of a residual (B,) m over the motion (B,) m, both RMS and a nanometre at least."""
+    rms = (max(float(np.sqrt(np.mean(np.square(v)))), 1e-9) for v in (residual, motion))
+    return float(np.log(next(rms) / next(rms)))
 
 
 def _misfits(scatter: Scatter, prior: Prior, residual, noisy) -> tuple[float, list[float]]:

@@ -11,9 +11,10 @@ from twinbench.diagnosis.effects import Amount, Candidate, Effect, effects
 from twinbench.diagnosis.inference.absorption import absorb
 from twinbench.diagnosis.inference.amounts import Scale
 from twinbench.diagnosis.inference.budget import budget, detectable
+from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
-from twinbench.diagnosis.inference.phases import _best, _chances
+from twinbench.diagnosis.inference.phases import _best, _chances, _explains
 from twinbench.diagnosis.inference.refit import gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score
 from twinbench.diagnosis.inference.significance import predictive, significance
@@ -369,3 +370,15 @@ def test_every_effect_says_what_it_is():
 def test_an_effect_of_no_kind_is_refused():
     with pytest.raises(ValueError, match="kind of effect wind must be one of"):
         replace(effect(), kind="weather")
+
+
+def test_a_name_must_leave_as_little_of_the_motion_as_sound_twins_do():
+    # where controls say how much these leave: a tenth here, give or take. A refit that leaves half of the motion explains nothing
+    three = np.c_[np.random.default_rng(0).normal(size=(40, 2)), np.log(0.1) + 0.3 * np.random.default_rng(1).normal(size=40)]
+    motion, rows = np.ones(SIZE), np.arange(SIZE)
+    evidence = SimpleNamespace(forward=SimpleNamespace(data=motion, motion=motion))
+    for left, explains in ((0.1, True), (0.5, False)):
+        refit = SimpleNamespace(prediction=motion - left)
+        assert _explains(evidence, refit, rows, Controls(three), DiagnosisConfig()) == explains
+        assert _explains(evidence, refit, rows, Controls(three[:, :2]), DiagnosisConfig())
+        assert _explains(evidence, refit, rows, None, DiagnosisConfig())
