@@ -23,7 +23,13 @@ def planned(evidence: Evidence, answer: Answer, verdict: str, names: Sequence[st
     if verdict not in OPEN or not (config.planned and held and evidence.members) or evidence.forward.contrast is not None:
         return None
     readings = readings_of(evidence, answer, verdict, names)
-    return plan(evidence, answer.prior, readings, config) if readings else None
+    return plan(evidence, answer.prior, readings, config, worse=_worse(answer, verdict)) if readings else None
+
+
+def _worse(answer: Answer, verdict: str) -> float:
+    """Variance of the twin's error in the recording over that of members', at least 1, where no reading explains it."""
+    usual = float(np.exp(np.mean(np.log(answer.test.misfits))))
+    return 1.0 if verdict == "ambiguous" else max(1.0, answer.test.misfit / usual)
 
 
 def readings_of(evidence: Evidence, answer: Answer, verdict: str, names: Sequence[str]) -> tuple[Reading, Reading] | None:

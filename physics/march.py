@@ -101,23 +101,8 @@ class Carrier:
     def array(kernels, name, tensor):
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {
-            "directors",
-            "bent",
-            "turned",
-            "carried",
-            "wrung",
-            "factor",
-            "face",
-            "faced",
-            "points",
-            "per",
-            "squeeze",
-            "eased",
-            "cells",
-            "cell_home",
-            "cell_at",
-        }
+        vectors |= {"directors", "bent", "turned", "carried", "wrung", "face", "faced", "points", "per", "squeeze", "eased", "cells"}
+        vectors |= {"cell_home", "cell_at"}
         vectors |= {"point_home", "anchor", "push", "met_points", "curving", "slope", "panel_force", "paneled", "folded"}
         vectors |= {"pair_force", "paired"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)

@@ -2,7 +2,8 @@
 
 With T phi = r and g the adjoint of phi, that of r is l = T^-1 g, and T's is -l phi^T: of a hinge -(l_a + l_b)(phi_a + phi_b) by the sum of
 its segments' angles and -(l_a - l_b)(phi_a - phi_b) by their difference. To a pivot p, where p is not taken as it is, e(p) is added: it
-gets e' times -l phi, and hands what it has on to the one before it by d p / d p_before = (off / p_before)^2.
+gets e' times -l phi, and hands what it has on to the one before it by d p / d p_before = (off / p_before)^2. That a ring's last equation
+may be lifted as well, where the ring rests unstably, has no adjoint.
 """
 
 import warp as wp

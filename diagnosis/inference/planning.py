@@ -100,9 +100,10 @@ class _Moved:
         return float(np.linalg.norm(self.gap / np.sqrt(self.noise)))
 
 
-def plan(evidence: Evidence, prior: Prior, readings: Sequence[Reading], config: DiagnosisConfig) -> Plan | None:
+def plan(evidence: Evidence, prior: Prior, readings: Sequence[Reading], config: DiagnosisConfig, *, worse: float = 1.0) -> Plan | None:
     """The best motion of the hands in the first recording to tell two ``readings`` apart, or None where none can be simulated.
 
+    worse  times as much variance as members have: by how much the twin was seen to be farther off in the recording than they are in theirs
     Members run through the ``config.planned`` motions that would tell best were sound twins never off. Raises ValueError where nobody holds
     the body, or where members are recordings, which make no other motion.
     """
@@ -120,7 +121,7 @@ def plan(evidence: Evidence, prior: Prior, readings: Sequence[Reading], config: 
     found.sort(key=lambda one: -one.bound)
     tried: list[tuple[float, _Moved, Likelihood]] = []
     for one in found[: config.planned]:
-        error = _error(one, evidence, prior, config)
+        error = _error(one, evidence, prior, config, worse)
         if error is not None:
             tried.append((float(np.linalg.norm(error.whitened(one.gap))), one, error))
     if not tried:
@@ -175,7 +176,7 @@ def _noise(evidence: Evidence, layout: Layout) -> np.ndarray:
     return variance[cKDTree(places).query(layout.place)[1]]
 
 
-def _error(one: _Moved, evidence: Evidence, prior: Prior, config: DiagnosisConfig) -> Likelihood | None:
+def _error(one: _Moved, evidence: Evidence, prior: Prior, config: DiagnosisConfig, worse: float) -> Likelihood | None:
     """The distribution of a sound twin's error in the motion; None where too few members go through it."""
     forward = one.forward
     reference = forward.at(np.zeros(len(forward.unknowns)))[0]
@@ -188,7 +189,7 @@ def _error(one: _Moved, evidence: Evidence, prior: Prior, config: DiagnosisConfi
     slopes = forward.slopes(reference) / forward.sds
     values, ways = np.linalg.eigh(forward.covariance)
     open_ = slopes @ (ways * np.sqrt(np.maximum(values, 0.0)))
-    return Scatter(left, np.diag(one.noise), open_, forward.layout).likelihood(prior)
+    return Scatter(np.sqrt(worse) * left, np.diag(one.noise), open_, forward.layout).likelihood(prior)
 
 
 def _member(member: Member, one: _Moved, evidence: Evidence, config: DiagnosisConfig) -> np.ndarray:

@@ -8,7 +8,7 @@ import pytest
 from blocks import FRAMES, lifted, recorded
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
-from twinbench.diagnosis.experiment import planned, proposed, readings_of
+from twinbench.diagnosis.experiment import _worse, planned, proposed, readings_of
 from twinbench.diagnosis.inference import planning
 from twinbench.diagnosis.inference.covariance import Prior, Scatter
 from twinbench.diagnosis.inference.forward import Forward
@@ -84,6 +84,9 @@ def test_what_sound_twins_are_off_by_closes_the_gap(evidence, few):
     readings = (windy(3.0), NOTHING)
     alike = [replace(m, shift=np.zeros(2), values={}) for m in evidence.members]
     far = [replace(m, shift=np.sign(m.shift) * 2.0) for m in evidence.members]
+    there = plan(evidence, PRIOR, readings, CONFIG, worse=9.0)
+    usual = plan(evidence, PRIOR, readings, CONFIG)
+    assert usual is not None and there is not None and usual.separation / 3 <= there.separation < usual.separation  # noise stays
     near, wide = (plan(replace(evidence, members=tuple(some)), PRIOR, readings, CONFIG) for some in (alike, far))
     assert near is not None and wide is not None
     assert near.separation > wide.separation > 0
@@ -124,6 +127,10 @@ def test_what_is_left_open_is_what_is_asked(evidence):
 
 
 def test_nothing_is_planned_where_nothing_is_open(evidence):
+    misfits = SimpleNamespace(misfit=8.0, misfits=(1.0, 2.0, 4.0))
+    seen = SimpleNamespace(test=misfits)
+    assert [_worse(seen, v) for v in ("cannot_tell", "unknown", "ambiguous")] == pytest.approx([4.0, 4.0, 1.0])
+    assert _worse(SimpleNamespace(test=SimpleNamespace(misfit=0.5, misfits=(1.0, 2.0))), "cannot_tell") == 1.0
     for verdict in ("adequate", "missing", "measurement"):
         assert planned(evidence, answer(), verdict, (), CONFIG) is None
     assert planned(evidence, answer([refit("wind", 3.0)]), "unknown", (), replace(CONFIG, planned=0)) is None
