@@ -26,7 +26,7 @@ class DiagnosisConfig:
                 half is as far from the mean of all as that is from the truth.
     broad       of the prior's standard deviation, by which members' parameters are spread around the fit: within it a Gauss-Newton step is
                 right to a few per cent, and beyond it the reference is run again in any case
-    dearest     times the reference's steps that a member may take: what is eight times as stiff takes hundreds of seconds
+    dearest     times the reference's steps that a member or a refit may take: what is eight times as stiff takes hundreds of seconds
     rounds      of absorption, each a step and a run of the reference for every member: after two, some of eight members of two blocks were
                 left with 2.4 mm, after four with 1.9, after eight with 1.7 (the largest)
     stiffest    of hands, contact: members' angular frequencies over the reference's, as far up and down (log-uniform)

@@ -163,6 +163,10 @@ class Forward:
         self.cost.seconds += time.process_time() - begun
         return found
 
+    def steps(self, row: Mapping[str, float]) -> int:
+        """The most steps a frame that any recording takes with a dict of values beside the twin's own."""
+        return max(int(np.prod(s.steps(own_values({**self.told, **row}, r)))) for r, s in enumerate(self.simulators))
+
     def reference(self) -> tuple[list[np.ndarray], np.ndarray]:
         """(R paths (T, M, 3) m, the block means (B,) m of them) where the fit ended. Raises ValueError where the twin diverges there."""
         paths = [p[0] for p in self.paths([self.values(np.zeros(len(self.unknowns)))])]

@@ -10,7 +10,6 @@ import numpy as np
 from ...datasets.scenario import Observed
 from ...methods.continuum.bodies import Body
 from ...methods.continuum.body import body_of
-from ...methods.continuum.estimate import own_values
 from ...methods.continuum.gridding import SLIVER
 from ...methods.continuum.hands import groups_of
 from ...methods.continuum.rods import Rod
@@ -65,15 +64,10 @@ def drawn(forward: Forward, config: DiagnosisConfig, seed: int = 0) -> list[Memb
 
 def affordable(shift: np.ndarray, forward: Forward, config: DiagnosisConfig) -> np.ndarray:
     """``shift`` (n,), or so much of it that no run takes more than ``config.dearest`` times the reference's steps."""
-    usual = _steps(forward, np.zeros_like(shift))
-    while _steps(forward, shift) > config.dearest * usual:
+    usual = forward.steps({})
+    while forward.steps(forward.values(shift)) > config.dearest * usual:
         shift = LESS * shift
     return shift
-
-
-def _steps(forward: Forward, shift) -> int:
-    values = {**forward.told, **forward.values(shift)}
-    return max(int(np.prod(s.steps(own_values(values, r)))) for r, s in enumerate(forward.simulators))
 
 
 def ran(member: Member, forward: Forward, config: DiagnosisConfig) -> np.ndarray:

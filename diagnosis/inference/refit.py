@@ -59,15 +59,23 @@ def refitted(
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
     a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
-    arrived where fresh slopes lead nowhere. Amounts have a prior by the motion that they make (``amounts``).
+    arrived where fresh slopes lead nowhere. What would take more than ``config.dearest`` times the steps is not run. Amounts have a prior
+    by the motion that they make (``amounts``).
     """
     count = slopes.shape[1]
     twins = forward.with_effects([signature.candidate]) if signature else forward
     low, high = forward.bounds
 
+    most = config.dearest * forward.steps(forward.values(np.zeros(count)))
+
     def simulated(shifts, amounts):
         more = [{} if signature is None else signature.candidate.values(a) for a in amounts]
-        return twins.rows([{**forward.values(s), **one} for s, one in zip(shifts, more, strict=True)])
+        rows = [{**forward.values(s), **one} for s, one in zip(shifts, more, strict=True)]
+        kept = [k for k, row in enumerate(rows) if twins.steps(row) <= most]
+        found = np.full((len(rows), len(data)), np.nan)  # what is too dear to run is as what diverged
+        if kept:
+            found[kept] = twins.rows([rows[k] for k in kept])
+        return found
 
     if signature is not None:
         scale = Scale.of(signature, lambda a: simulated(np.zeros((len(a), count)), a), reference, config.motion)

@@ -219,8 +219,8 @@ def test_the_evidence_of_a_linear_effect_is_that_of_a_wider_covariance():
 class Bent:
     """Twins whose one effect is not linear in its amount: 20 mm of it make a fifth more than twenty of 1 mm."""
 
-    def __init__(self, world, column, bend=0.01):
-        self.bend = bend
+    def __init__(self, world, column, bend=0.01, dear=np.inf):
+        self.bend, self.dear = bend, dear
         self.world, self.column, self.unknowns = world, column, [SimpleNamespace(name=f"p{k}") for k in range(3)]
         self.bounds = NOWHERE
 
@@ -229,6 +229,9 @@ class Bent:
 
     def with_effects(self, candidates):
         return self
+
+    def steps(self, row):
+        return 1 if row.get("push", 0.0) < self.dear else 100
 
     def rows(self, rows):
         shifts = np.array([[r[u.name] for u in self.unknowns] for r in rows])
@@ -265,6 +268,18 @@ def test_the_evidence_of_a_refit_is_that_of_the_linear_effect_where_all_is_norma
     found, sound = (refitted(*given, what, DiagnosisConfig()) for what in (one, None))
     linear = score(marginal, data - world.reference, one)
     assert found.log_evidence - sound.log_evidence == pytest.approx(linear.log_evidence, abs=1e-3)
+
+
+def test_a_refit_goes_no_farther_than_steps_are_affordable():
+    # an effect of 15 mm, of which 8 mm and more take a hundred times the steps: the refit stays below and says what it can there
+    world = World(9)
+    one = world.catalogue[0]
+    twins = Bent(world, one.columns[:, 0], dear=8.0)
+    scatter, _, _ = world.evidence(world.reference)
+    data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=15.0)])[0]
+    fitting = scatter.likelihood(PRIOR, parameters=False)
+    found = refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig(steps=6, dearest=4.0))
+    assert 0.5 < found.amounts[0] < 8.0 and np.isfinite(found.prediction).all()
 
 
 def test_amounts_have_a_prior_by_what_they_do():
