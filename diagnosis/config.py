@@ -36,6 +36,7 @@ class DiagnosisConfig:
     steps       of such a refit, at most, of one to three runs each; it ends where fresh slopes lead nowhere, which take as many runs as it
                 has unknowns. Three steps left a wind of 15 mm, nine a hand that gives way (116 mm) far from where refits end; that one
                 takes twenty
+    runs        of such a refit, at most: a rope's takes some 60, one that moves a cable by decimetres would take a thousand of seconds each
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
     planned     motions that members run through where a recording leaves something open, each at twice the cost of the members
@@ -62,6 +63,7 @@ class DiagnosisConfig:
     probe: float = 1.0
     refitted: int = 4
     steps: int = 24
+    runs: int = 120
     parallel: float = 0.95
     planned: int = 2
     strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)

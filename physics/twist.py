@@ -27,9 +27,8 @@ __all__ = ["make_twist", "twist_functions"]
 
 ROLL = 0.2  # rad, the most that a segment rolls in a substep
 LIMP = 0.2  # of the bending stiffness: a rope that resists twist by less would wind itself up; its directors rest as if it did by this
-STAY = 1.0e-4  # of the stiffness against twist, by which each segment stays where it is: a straight free rope may roll as one by any angle
 HALTING = 30.0  # a chain leaves unstable rest by a thirtieth of the way back to it in a substep
-BLUNT = 1.0e-6  # of the stiffness against roll: a pivot below it is as good as none
+BLUNT = 1.0e-4  # of the stiffness against twist: a smaller pivot is as good as none. A straight free rope may roll as one by any angle
 IDLE = 1.0e-12  # N m: stiffness against roll that counts as none
 
 
@@ -90,7 +89,7 @@ def solver(kit):
         if h < 0:
             return R(0.0)
         torque = w.torque[slot, h]
-        return torque[1] + torque[3] * R(1.0 + STAY)
+        return torque[1] + torque[3]
 
     @wp.func
     def floor_of(w: World, slot: int, s: int):

@@ -9,7 +9,7 @@ may be lifted as well, where the ring rests unstably, has no adjoint.
 import warp as wp
 
 from .rods import reading
-from .twist import BLUNT, STAY, solver, twist_functions
+from .twist import BLUNT, solver, twist_functions
 
 __all__ = ["make_back_twist"]
 
@@ -89,8 +89,7 @@ def make_back_twist(kit):
             if before >= after:  # the hinge closes a ring
                 beside = -diagonal
             sum = diagonal + beside - (l1 + l2) * (roll1 + roll2)
-            difference = diagonal - beside - (l1 - l2) * (roll1 - roll2) + R(STAY) * (diagonal - l1 * roll1 - l2 * roll2)
-            difference += R(BLUNT) * lift[1]
+            difference = diagonal - beside - (l1 - l2) * (roll1 - roll2) + R(BLUNT) * lift[1]
             g = four(-(l1 + l2), sum, l1 - l2, difference)
             g1, g2, g3, gd, ge, gn, _s, gf, gp, _g = wp.grad(wring_dot)(x1, x2, x3, d, e, natural, span, flexure, p, g)
             a.wrung[h, 0] = g1

@@ -29,7 +29,16 @@ __all__ = ["FILE", "Controls", "Tail", "frozen", "main", "marked_kind"]
 FILE = Path(__file__).parent / "controls.json"
 DEGREES = (2.0, 3.0, 4.0, 6.0, 10.0, 30.0)  # of freedom: 2 has no variance, 30 is a normal distribution
 STEPS = 100  # of expectation and maximisation: the slowest moves by less than 1e-6 then
-DECIDING = ("level", "motion", "refitted", "steps", "parallel", "planned", "members")  # fields that change no statistic of a recording
+DECIDING = (
+    "level",
+    "motion",
+    "refitted",
+    "steps",
+    "runs",
+    "parallel",
+    "planned",
+    "members",
+)  # fields that change no statistic of a recording
 
 
 @dataclass(frozen=True)

@@ -91,7 +91,10 @@ def refitted(
         return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
 
     at, jacobian, fresh = place(np.zeros(len(low)), reference), slopes, False
+    begun = forward.cost.runs
     for _ in range(config.steps):
+        if forward.cost.runs - begun >= config.runs:
+            break
         step, promised = _step(at, jacobian, data, likelihood, rows, low, high)
         for part in TRIALS:
             numbers = np.clip(at.numbers + part * step, low, high)
