@@ -220,7 +220,7 @@ class Bent:
     """Twins whose one effect is not linear in its amount: 20 mm of it make a fifth more than twenty of 1 mm."""
 
     def __init__(self, world, column, bend=0.01, dear=np.inf):
-        self.bend, self.dear = bend, dear
+        self.bend, self.dear, self.cost = bend, dear, SimpleNamespace(runs=0)
         self.world, self.column, self.unknowns = world, column, [SimpleNamespace(name=f"p{k}") for k in range(3)]
         self.bounds = NOWHERE
 
@@ -234,6 +234,7 @@ class Bent:
         return 1 if row.get("push", 0.0) < self.dear else 100
 
     def rows(self, rows):
+        self.cost.runs += len(rows)
         shifts = np.array([[r[u.name] for u in self.unknowns] for r in rows])
         push = np.array([r.get("push", 0.0) for r in rows])[:, None]
         return self.world.run(shifts) + push * (1 + self.bend * push) * self.column
@@ -280,6 +281,11 @@ def test_a_refit_goes_no_farther_than_steps_are_affordable():
     fitting = scatter.likelihood(PRIOR, parameters=False)
     found = refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig(steps=6, dearest=4.0))
     assert 0.5 < found.amounts[0] < 8.0 and np.isfinite(found.prediction).all()
+    before = twins.cost.runs
+    refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig(runs=5))
+    assert (
+        5 <= twins.cost.runs - before <= 5 + 10 + 7
+    )  # amounts are scaled by ten runs, and a step that has begun is ended: three trials, four slopes
 
 
 def test_amounts_have_a_prior_by_what_they_do():
