@@ -12,7 +12,7 @@ from .inference.phases import Answer, Evidence, Named
 from .inference.planning import Plan, Reading, plan
 from .page.words import effect_name
 
-__all__ = ["OPEN", "figures", "planned", "proposed", "readings_of"]
+__all__ = ["OPEN", "planned", "proposed", "readings_of"]
 
 OPEN = ("ambiguous", "unknown", "cannot_tell")  # verdicts after which another recording would help
 
@@ -68,12 +68,3 @@ def proposed(found: Plan | None, verdict: str, names: Sequence[str]) -> str | No
     if found is None:
         return by_word
     return found.says if found.telling else " ".join(filter(None, (found.says, by_word)))
-
-
-def figures(found: Plan | None, fps: float) -> dict | None:
-    """What ``diagnosis.json`` keeps of a plan: the motion and its seconds, D of it and of the others that were looked into."""
-    if found is None:
-        return None
-    others = {name: round(d, 2) for name, d in sorted(found.others.items(), key=lambda item: -item[1])}
-    seconds = round(len(found.motion.controllers) / fps, 2)
-    return {"motion": found.motion.name, "seconds": seconds, "separation": round(found.separation, 2), "others": others}

@@ -9,13 +9,15 @@ import numpy as np
 
 from ..datasets.scenario import Observed
 
-__all__ = ["Motion", "Setting", "motions", "place_words"]
+__all__ = ["TELLING", "VISIBLE", "Motion", "Setting", "figures", "motions", "outcome_words"]
 
 HIGH = 0.9  # of the body's extent above the table: then it hangs free
 RISE = 0.6  # m/s, of lifting
 LYING = 0.02  # m: hands that need not rise by more do not lift
 WIDE = (0.05, 0.2)  # m, between which swings reach to either side
 FAST, SLOW = 0.35, 0.9  # s from one side of a swing to the other
+TELLING = 3.0  # least D of a motion that is worth the while: two readings are told apart in 93 of 100 recordings (D / 2 deviations)
+VISIBLE = 0.005  # m: what eyes can tell
 STILL = 0.6  # s of rest at the end
 
 
@@ -140,7 +142,28 @@ def _farthest_first(start, label):
     return np.argsort(order)[label]
 
 
-def place_words(metres: float, axis: np.ndarray, upright: bool) -> str:
+def outcome_words(readings, motion: Motion, at: str, seconds: float, axis: np.ndarray, up: np.ndarray, offsets, within: float) -> str:
+    """What to do, where to look, and what each outcome means of two ``readings`` with a ``name`` and a clause that each ``says``.
+
+    at  in words, a place that either puts ``offsets`` [m] from a hand along ``axis`` (3,), give or take ``within``, after ``seconds``
+    """
+    a, b = readings
+    upright = np.array_equal(axis, up)
+    first, second, border = (_place_words(value, axis, upright) for value in (*offsets, sum(offsets) / 2))
+    return (
+        f"To tell {a.name} from {b.name}: {motion.says}. Then look at {at}, {seconds:.1f} s after the start: "
+        f"if {a.says}, it is {first} the hand; if {b.says}, {second} it, give or take {1000 * within:.0f} mm. The border is {border} it."
+    )
+
+
+def figures(motion: Motion, separation: float, others: dict[str, float], fps: float) -> dict:
+    """What ``diagnosis.json`` keeps of a plan: the motion and its seconds, D of it and of the others that were looked into."""
+    shown = {name: round(d, 2) for name, d in sorted(others.items(), key=lambda item: -item[1])}
+    seconds = round(len(motion.controllers) / fps, 2)
+    return {"motion": motion.name, "seconds": seconds, "separation": round(separation, 2), "others": shown}
+
+
+def _place_words(metres: float, axis: np.ndarray, upright: bool) -> str:
     """How far something is from a hand, along ``axis`` (3,), which points up if ``upright``."""
     if upright:
         return f"{1000 * abs(metres):.0f} mm {'above' if metres > 0 else 'below'}"

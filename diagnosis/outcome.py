@@ -14,10 +14,11 @@ from ..datasets.temporary import replacing
 from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .effects import effects
-from .experiment import figures, proposed
+from .experiment import proposed
 from .inference.phases import Answer, Evidence, Named
 from .inference.planning import Plan
 from .keeping import write_tracks, write_twins
+from .motions import figures
 from .page.document import plain
 from .report import write_report
 
@@ -71,7 +72,7 @@ class Outcome:
                 "curves": _curves(parts, runs, floor),
                 "twin": found.twin.values,
                 "told": found.told.values if found.told else None,
-                "plan": figures(plan, float(parts[0][0].fps)),
+                "plan": figures(plan.motion, plan.separation, plan.others, float(parts[0][0].fps)) if plan else None,
                 "rollouts": {"count": answer.runs, "seconds": answer.seconds},
             },
             "seconds": round(seconds, 1),

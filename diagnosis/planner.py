@@ -23,7 +23,7 @@ from ..methods.continuum.hands import labels_of
 from .fit import INDEPENDENT, Fit, floor_of
 from .inquiry import Inquiry
 from .model import Simulator
-from .motions import Motion, Setting, motions, place_words
+from .motions import TELLING, VISIBLE, Motion, Setting, figures, motions, outcome_words
 from .parts import MARGIN
 from .refit import Verdictable
 from .replica import Replica
@@ -34,8 +34,6 @@ __all__ = ["Plan", "experiment", "plan", "setting_of"]
 MODES = 6  # directions in which a fit is least sure, that may close the gap
 SHARE = 0.5  # of a standard deviation: step of finite differences
 TRIED = 6  # motions whose gap is looked into
-TELLING = 3.0  # least D of a motion that is worth the while
-VISIBLE = 0.005  # m: what eyes can tell
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,8 @@ def experiment(inquiry: Inquiry, decision: Decision) -> tuple[str | None, dict |
     found = _planned(inquiry, names, decision.verdict) if decision.verdict != "unknown" else None
     if found is None:
         return by_word, None
-    return found.says if found.telling else " ".join(filter(None, (found.says, by_word))), _figures(found, inquiry)
+    said = found.says if found.telling else " ".join(filter(None, (found.says, by_word)))
+    return said, figures(found.motion, found.separation, found.others, float(inquiry.case.recording.fps))
 
 
 def _planned(inquiry, names, verdict) -> Plan | None:
@@ -172,15 +171,6 @@ def _planned(inquiry, names, verdict) -> Plan | None:
 def _error(twins: Sequence[Verdictable]) -> float:
     """m, the error of the better twin's free runs where it was not fitted."""
     return min(float(np.mean([e for name, e in t.free.items() if name != "train"] or [t.free["train"]])) for t in twins)
-
-
-def _figures(found: Plan, inquiry) -> dict:
-    return {
-        "motion": found.motion.name,
-        "seconds": round(len(found.motion.controllers) / float(inquiry.case.recording.fps), 2),
-        "separation": round(found.separation, 2),
-        "others": {name: round(d, 2) for name, d in sorted(found.others.items(), key=lambda item: -item[1])},
-    }
 
 
 def _moving(simulator: Simulator, motion: Motion) -> Simulator:
@@ -248,13 +238,8 @@ def _words(setting, replica, rivals, motion, look) -> str:
     a, b = rivals
     if look is None:
         return f"None of the motions that were simulated tells {a.name} from {b.name}: what either leaves open would make up for it."
-    upright = np.array_equal(look.axis, setting.up)
-    first, second, border = (place_words(value, look.axis, upright) for value in (*look.offsets, sum(look.offsets) / 2))
-    return (
-        f"To tell {a.name} from {b.name}: {motion.says}. Then look at {_place(replica, setting, look.node)}, "
-        f"{look.frame / setting.fps:.1f} s after the start: if {a.says}, it is {first} the hand; if {b.says}, {second} it, "
-        f"give or take {1000 * look.within:.0f} mm. The border is {border} it."
-    )
+    at = _place(replica, setting, look.node)
+    return outcome_words(rivals, motion, at, look.frame / setting.fps, look.axis, setting.up, look.offsets, look.within)
 
 
 def _place(replica, setting, node):

@@ -10,7 +10,7 @@ from ..datasets.scenario import Scenario
 from ..methods.continuum.bodies import Body, bodies_of
 from .config import DiagnosisConfig
 from .inference.blocks import is_marked
-from .inference.controls import Controls, marked_kind
+from .inference.controls import Controls
 
 __all__ = ["has_continuum", "suitable"]
 
@@ -38,7 +38,7 @@ def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
         kind = _body(one).kind
     except ValueError:
         return False
-    return kind in KINDS if not marked else not fitted_on and Controls.of(marked_kind(kind), config) is not None
+    return kind in KINDS if not marked else not fitted_on and Controls.of(kind, config, marked=True) is not None
 
 
 def suitable(
@@ -69,7 +69,7 @@ def suitable(
             if _same(one, other):
                 raise ValueError(f"recordings must differ, got {other.name} twice (scenario {one.name})")
     body = _body(first)
-    if is_marked(first, config) and not (fitted_on or against) and Controls.of(marked_kind(body.kind), config) is None:
+    if is_marked(first, config) and not (fitted_on or against) and Controls.of(body.kind, config, marked=True) is None:
         raise ValueError(
             f"markers on a {body.kind} are asked beside recordings in which nothing is missing (fitted_on) or of the same command "
             f"(against), since no frozen ones say how far a twin is off, got neither (scenario {first.name})"

@@ -24,9 +24,10 @@ import numpy as np
 from ...datasets.temporary import replacing
 from ..config import DiagnosisConfig
 
-__all__ = ["FILE", "Controls", "Tail", "frozen", "main", "marked_kind"]
+__all__ = ["FILE", "Controls", "Tail", "frozen", "main"]
 
 FILE = Path(__file__).parent / "controls.json"
+MARKED = "marked "  # goes before a kind of body of which markers are seen
 DEGREES = (2.0, 3.0, 4.0, 6.0, 10.0, 30.0)  # of freedom: 2 has no variance, 30 is a normal distribution
 STEPS = 100  # of expectation and maximisation: the slowest moves by less than 1e-6 then
 DECIDING = (
@@ -71,11 +72,6 @@ class Tail:
         return float(t.isf(p, self.degrees, self.place, self.scale))
 
 
-def marked_kind(kind: str) -> str:
-    """What controls call a ``kind`` of body of which a few markers are seen instead of its surface."""
-    return f"marked {kind}"
-
-
 def _located(values, degrees: float) -> Tail:
     place, square = float(np.median(values)), float(np.var(values)) + 1e-12
     for _ in range(STEPS):
@@ -93,10 +89,11 @@ class Controls:
     standardised: np.ndarray
 
     @classmethod
-    def of(cls, kind: str, config: DiagnosisConfig) -> Controls | None:
-        """Those of a ``kind`` of body; None where they are too few to hold one beyond the level, or weighed otherwise."""
+    def of(cls, kind: str, config: DiagnosisConfig, *, marked: bool = False) -> Controls | None:
+        """Those of a ``kind`` of body, of which a few markers are seen instead of its surface if ``marked``; None where they are too few
+        to hold one beyond the level, or weighed otherwise."""
         known = _known()
-        own = known["kinds"].get(kind, [])
+        own = known["kinds"].get(MARKED + kind if marked else kind, [])
         if 1 / (1 + len(own)) >= config.level or config.members < known["config"]["members"]:
             return None
         if known["config"] != _shaping(config) | {"members": known["config"]["members"]}:
@@ -155,7 +152,7 @@ def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
 
 def _more(kind: str) -> tuple[str, ...]:
     """Further statistics of a kind: what is left of the motion where it is a twin's, and not the tracks', as that of markers is."""
-    return ("far_share",) if kind.startswith(marked_kind("")) else ()
+    return ("far_share",) if kind.startswith(MARKED) else ()
 
 
 def main(arguments=None) -> None:

@@ -13,7 +13,7 @@ from ..config import DiagnosisConfig
 from ..effects import Candidate
 from .absorption import absorb
 from .budget import Budget, Detectable, budget, detectable
-from .controls import Controls, marked_kind
+from .controls import Controls
 from .covariance import Prior, Scatter, chosen
 from .forward import Forward
 from .members import Member, drawn, ran
@@ -150,8 +150,8 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
     prior = chosen(scatter, config, e.noisy)
     alone = len(e.forward.simulators) == 1 and not e.from_recordings  # as controls were
-    kind, single = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
-    controls = Controls.of(marked_kind(kind) if single else kind, config) if alone else None
+    kind, marked = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
+    controls = Controls.of(kind, config, marked=marked) if alone else None
     test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls)
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
     rows = np.flatnonzero(layout.fitted)

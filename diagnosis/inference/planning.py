@@ -22,7 +22,7 @@ from ...methods.continuum.hands import groups_of
 from ...methods.continuum.scene import Scene
 from ..config import DiagnosisConfig
 from ..effects import Candidate
-from ..motions import Motion, Setting, motions, place_words
+from ..motions import TELLING, VISIBLE, Motion, Setting, motions, outcome_words
 from .blocks import Blocks
 from .covariance import Layout, Prior, Scatter
 from .forward import Forward
@@ -30,10 +30,7 @@ from .likelihood import Likelihood
 from .members import Member, scene_of
 from .phases import Evidence
 
-__all__ = ["TELLING", "Look", "Plan", "Reading", "plan"]
-
-TELLING = 3.0  # least D of a motion that is worth the while: two readings are told apart in 93 of 100 recordings (D / 2 deviations)
-VISIBLE = 0.005  # m: what eyes can tell
+__all__ = ["Look", "Plan", "Reading", "plan"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,14 +134,12 @@ def _moved(evidence: Evidence, motion: Motion, readings, config: DiagnosisConfig
     forward = evidence.forward
     recording, runner = forward.recordings[0], forward.simulators[0]
     there = replace(runner, scene=_led(runner.scene, motion))
-    blocks = Blocks.of(_filmed(recording, motion, np.repeat(runner.scene.structure[None], len(motion.controllers), 0)), config)
+    blocks = Blocks.of(_filmed(recording, motion, runner.scene.structure), config, forward.blocks[0].regions)
     here = replace(forward, simulators=(there,), blocks=(blocks,), sound=frozenset(), contrast=None)
     twins = here.with_effects([r.candidate for r in readings if r.candidate])
     paths = np.concatenate([twins.paths([r.values(forward)])[0] for r in readings])
     if not np.isfinite(paths).all():
         return None
-    blocks = Blocks.of(_filmed(recording, motion, paths[0]), config, forward.blocks[0].regions)
-    here = replace(here, blocks=(blocks,))
     return _Moved(motion, here, _noise(evidence, here.layout), paths, blocks.means(paths))
 
 
@@ -157,12 +152,13 @@ def _led(scene: Scene, motion: Motion) -> Scene:
     return replace(scene, controllers=path, hands=scene.led(path), speeds=None)
 
 
-def _filmed(recording: Scenario, motion: Motion, path) -> Scenario:
-    """What is seen of a motion in which the points go along ``path`` (T, M, 3) m: all of them, always."""
+def _filmed(recording: Scenario, motion: Motion, structure) -> Scenario:
+    """What is seen of a motion: all tracks, always. Where, but for frame 0 (``structure`` (M, 3) m), is what twins say."""
     frames, count = len(motion.controllers), recording.points.shape[1]
+    points = np.repeat(structure[None, :count], frames, 0)
     seen = np.ones((frames, count), bool)
     options: dict = dict(colors=None, actuation=None, tracks=None, images=None, split=Split(frames, frames))
-    return replace(recording, points=path[:, :count], visible=seen, motion_valid=seen, controllers=motion.controllers, **options)
+    return replace(recording, points=points, visible=seen, motion_valid=seen, controllers=motion.controllers, **options)
 
 
 def _noise(evidence: Evidence, layout: Layout) -> np.ndarray:
@@ -232,11 +228,6 @@ def _words(setting: Setting, readings, motion: Motion, look: Look | None) -> str
             f"None of the motions that were simulated tells {a.name} from {b.name}: "
             "they differ by less than sound twins are off, or what the fits leave open would make up for it."
         )
-    upright = np.array_equal(look.axis, setting.up)
-    first, second, border = (place_words(value, look.axis, upright) for value in (*look.offsets, sum(look.offsets) / 2))
-    at = "the part farthest from the hands" if look.farthest else f"the part that was at ({', '.join(f'{c:.3f}' for c in look.place)}) m"
-    return (
-        f"To tell {a.name} from {b.name}: {motion.says}. Then look at {at}{'' if look.farthest else ' in frame 0'}, "
-        f"{look.seconds:.1f} s after the start: if {a.says}, it is {first} the hand; if {b.says}, {second} it, "
-        f"give or take {1000 * look.within:.0f} mm. The border is {border} it."
-    )
+    at = f"the part that was at ({', '.join(f'{c:.3f}' for c in look.place)}) m in frame 0"
+    at = "the part farthest from the hands" if look.farthest else at
+    return outcome_words(readings, motion, at, look.seconds, look.axis, setting.up, look.offsets, look.within)

@@ -106,8 +106,8 @@ def significance(
 
 def left_of(residual, motion) -> float:
     """Logarithm of a residual (B,) m over the motion (B,) m, both RMS and a nanometre at least."""
-    rms = (max(float(np.sqrt(np.mean(np.square(v)))), 1e-9) for v in (residual, motion))
-    return float(np.log(next(rms) / next(rms)))
+    left, moved = (max(float(np.sqrt(np.mean(np.square(v)))), 1e-9) for v in (residual, motion))
+    return float(np.log(left / moved))
 
 
 def _misfits(scatter: Scatter, prior: Prior, residual, noisy) -> tuple[float, list[float]]:

@@ -4,21 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from blocks import FRAMES, lifted, recorded
+from blocks import FRAMES, TRUE, recorded, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import affordable, drawn, ran
 from twinbench.diagnosis.inference.scan import signatures
-from twinbench.methods.continuum.body import body_of
-from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
-from twinbench.methods.continuum.solids import Solid
-from twinbench.methods.continuum.twin import ContinuumTwin
 from twinbench.methods.continuum.unknowns import Unknown
 
-TRUE = dict(youngs_modulus=8e3, damping_time=0.01, poisson=0.3, drag_damping=0.3)
 NOISE = 1e-3
 CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=4, cells=1.0)
 
@@ -26,11 +21,7 @@ CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=4, cells=1.0)
 @pytest.fixture(scope="module")
 def twin():
     """A sound twin of the block at what made its recording, as a fit would have left it."""
-    recording = lifted()
-    scene = Scene.of(recording, Solid.told(recording, body_of(recording, kind="solid", pitch=0.02)))
-    unknowns = [u for u in Solid.unknowns([scene.body]) if u.name in ("youngs_modulus", "damping_time")]
-    posterior = dict(unknowns=[vars(u) for u in unknowns], scaled=[u.encode(TRUE[u.name]) for u in unknowns])
-    return ContinuumTwin(scene, TRUE, posterior=posterior | dict(covariance=(0.01 * np.eye(2)).tolist()))
+    return sound_twin(pitch=0.02)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from blocks import FRAMES, lifted, recorded
+from blocks import FRAMES, TRUE, recorded, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.experiment import _worse, planned, proposed, readings_of
@@ -14,15 +14,11 @@ from twinbench.diagnosis.inference.covariance import Prior, Scatter
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import drawn
 from twinbench.diagnosis.inference.phases import Evidence
-from twinbench.diagnosis.inference.planning import TELLING, Reading, plan
+from twinbench.diagnosis.inference.planning import Reading, plan
+from twinbench.diagnosis.motions import TELLING
 from twinbench.diagnosis.page.words import effect_name
-from twinbench.methods.continuum.body import body_of
-from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
-from twinbench.methods.continuum.solids import Solid
-from twinbench.methods.continuum.twin import ContinuumTwin
 
-TRUE = dict(youngs_modulus=8e3, damping_time=0.01, poisson=0.3, drag_damping=0.3)
 CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=4, cells=1.0, planned=2)
 PRIOR = Prior(4.0, 0.15, 0.15)
 FEW = ("hold", "lift and drop")
@@ -32,11 +28,8 @@ NOTHING = Reading("nothing", "nothing is missing", None, np.zeros(2), np.zeros(0
 @pytest.fixture(scope="module")
 def evidence():
     """Four sound twins of a block that was lifted, as they were drawn: the reference is fitted to none of them."""
-    still = lifted()
-    scene = Scene.of(still, Solid.told(still, body_of(still, kind="solid", pitch=0.04)))
-    unknowns = [u for u in Solid.unknowns([scene.body]) if u.name in ("youngs_modulus", "damping_time")]
-    posterior = dict(unknowns=[vars(u) for u in unknowns], scaled=[u.encode(TRUE[u.name]) for u in unknowns])
-    twin = ContinuumTwin(scene, TRUE, posterior=posterior | dict(covariance=(0.01 * np.eye(2)).tolist()))
+    twin = sound_twin(pitch=0.04)
+    scene = twin.scene
     path = Simulator(scene).run([TRUE], FRAMES)[0][:, : scene.counts[0]]
     forward = Forward.of(twin, [recorded(path + np.random.default_rng(0).normal(0, 1e-3, path.shape))], CONFIG)
     layout, size = forward.layout, len(forward.data)

@@ -3,8 +3,13 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane, Scenario, Split
+from twinbench.methods.continuum.body import body_of
+from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.solids import Solid
+from twinbench.methods.continuum.twin import ContinuumTwin
 
 SIZE, FRAMES = np.array([0.12, 0.04, 0.03]), 14
+TRUE = dict(youngs_modulus=8e3, damping_time=0.01, poisson=0.3, drag_damping=0.3)
 
 
 def lifted(points=None) -> Observed:
@@ -42,3 +47,12 @@ def recorded(points, **changes):
     known = {name: getattr(observed, name) for name in ("name", "controllers", "surface", "interior", "fps", "gravity", "ground", "grips")}
     seen = np.ones(points.shape[:2], bool)
     return Scenario(points=points, visible=seen, motion_valid=seen, **({"split": Split(FRAMES - 5, FRAMES)} | known | changes))
+
+
+def sound_twin(pitch: float) -> ContinuumTwin:
+    """A sound twin of the block that is lifted, at what moves it (``TRUE``), as a fit would have left it."""
+    recording = lifted()
+    scene = Scene.of(recording, Solid.told(recording, body_of(recording, kind="solid", pitch=pitch)))
+    unknowns = [u for u in Solid.unknowns([scene.body]) if u.name in ("youngs_modulus", "damping_time")]
+    posterior = dict(unknowns=[vars(u) for u in unknowns], scaled=[u.encode(TRUE[u.name]) for u in unknowns])
+    return ContinuumTwin(scene, TRUE, posterior=posterior | dict(covariance=(0.01 * np.eye(2)).tolist()))
