@@ -28,7 +28,7 @@ class Make(OnCluster):
     out: Annotated[Path, arg(metavar="DIR")]
     """Folder of the set."""
     preset: str = "quick"
-    """quick (18 cases) or full (some 260)."""
+    """quick (18 cases), full (some 260), or ropes (some 150, of ropes alone, finely meshed)."""
     seed: str | None = None
     """Any text; the same one gives the same set. Long and random, if labels shall be secret: who guesses it can make the set."""
     beacon: str | None = None

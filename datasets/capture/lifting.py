@@ -142,7 +142,7 @@ def resampled(points: np.ndarray, known: np.ndarray, times: np.ndarray, wanted: 
         first, second = (ahead, back) if late > 0 else (back, ahead)
         done = np.zeros(known.shape[1], bool)
         for other in (first, second):
-            if other != t:
+            if times[other] != times[t]:  # a camera that lost a picture shows the one before again
                 usable = known[t] & known[other] & ~done
                 velocity = (points[other, usable] - points[t, usable]) / (times[other] - times[t])
                 moved[t, usable] = points[t, usable] + late * velocity

@@ -9,19 +9,19 @@ import os
 import shutil
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 
 from ..phystwin import write_case
 from ..pool import Pool, finished
-from .bodies import BODIES, meshing
+from .bodies import meshing
 from .case import CLEAR, Case, build
 from .convergence import refinement
-from .effects import EFFECTS, OUTSIDE
 from .engines import ENGINES, able, require
 from .folder import Folder
 from .plan import PRESETS, Entry, Preset, entropy, plan
@@ -46,6 +46,11 @@ def write_pair(case: Case, folder: Path, index: int) -> None:
         os.utime(path, (WHEN, WHEN))
 
 
+class _Meshes(TypedDict):
+    solids: str
+    thin: str
+
+
 def make(
     out: str | Path,
     *,
@@ -68,7 +73,6 @@ def make(
     require(engines)
     entries = plan(preset, seed, engines=engines)
     asked = PRESETS[preset] if isinstance(preset, str) else preset
-    how = {"solids": asked.solids, "thin": asked.thin}
     ours = {"seed": seed, "plan": [{**asdict(e), "clear": list(e.clear)} for e in entries]}
     file = folder.kept / "plan.json"
     if file.exists() and read_json(file) != ours:
@@ -82,7 +86,7 @@ def make(
         return manifest
     write_json(file, ours)
     todo = {f"case_{k:03d}": (k, entry) for k, entry in enumerate(entries) if not _there(folder, f"case_{k:03d}")}
-    work = {name: partial(_one, folder, name, k, entry, seed, tuple(engines), how) for name, (k, entry) in todo.items()}
+    work = {name: partial(_one, folder, name, k, entry, seed, tuple(engines), asked) for name, (k, entry) in todo.items()}
     with closing(executor.each(work, writes=(folder.root,)) if executor else _here(work, jobs)) as done:
         for count, (_, future) in enumerate(done, 1):
             progress(f"{count} of {len(todo)}: {future.result()}")
@@ -93,7 +97,7 @@ def make(
             cases[name] = {"recordings": folder_digest(folder.cases / name), "label": sealed(kept["label"], kept["salt"])}
     manifest = {
         "schema": 1,
-        "preset": preset if isinstance(preset, str) else asdict(preset) | {"levels": list(preset.levels)},
+        "preset": preset if isinstance(preset, str) else _public(preset),
         "seed": digest({"seed": seed}),
         "origin": origin or {},
         "undrawn": len(entries) - len(cases),
@@ -103,6 +107,12 @@ def make(
     write_json(folder.manifest, manifest)
     folder.ledger.append("made", root=manifest["root"], cases=len(cases))
     return manifest
+
+
+def _public(preset: Preset) -> dict:
+    """A preset as the manifest has it: bodies are not named where all take part."""
+    named = [f.name for f in fields(Preset) if f.name not in ("bodies", "without") or getattr(preset, f.name) != f.default]
+    return {name: list(value) if isinstance(value := getattr(preset, name), tuple) else value for name in named}
 
 
 def _here(work: Mapping, jobs: int) -> Generator:
@@ -115,10 +125,10 @@ def _there(folder: Folder, name: str) -> bool:
     return file.exists() and ("label" not in read_json(file) or (folder.cases / name / "transfer").is_dir())
 
 
-def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines: Sequence[str], how: dict) -> str:
+def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines: Sequence[str], preset: Preset) -> str:
     """Draw and write one case; says whether it could be drawn."""
-    reasons = []
-    turns = list(islice(_turns(entry, engines), TRIES))
+    reasons, how = [], _Meshes(solids=preset.solids, thin=preset.thin)
+    turns = list(islice(_turns(entry, engines, preset), TRIES))
     tried = [(*turn, entry.clear, entry.level) for turn in turns]
     tried += [(*turn, CLEAR, None) for turn in turns if tuple(entry.clear) != CLEAR]
     for attempt, (body, by, clear, level) in enumerate(tried):
@@ -131,7 +141,7 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
         write_pair(case, folder.cases / name, index)
         frames = [len(case.fit.points), len(case.transfer.points)]
         label = case.label | {"level": level, "like": entry.like or None, "simulated_by": by, "frames": frames}
-        if how != {"solids": Preset.solids, "thin": Preset.thin}:  # labels of sets that are sealed already stay as they were published
+        if how != _Meshes(solids=Preset.solids, thin=Preset.thin):  # labels of sets that are sealed already stay as they were published
             label |= refinement(body, by, meshing(body, **how), label["interactions"])
         write_json(folder.kept / f"{name}.json", {"label": label, "salt": salt_of(seed, name)})
         return name
@@ -139,12 +149,10 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
     return f"{name} could not be drawn"
 
 
-def _turns(entry: Entry, engines: Sequence[str]):
+def _turns(entry: Entry, engines: Sequence[str], preset: Preset):
     """Bodies and engines to try, the planned ones first."""
-    table = EFFECTS | OUTSIDE
     names = [] if entry.kind == "control" else entry.name.split("+")
-    needed = [*names, *([entry.like] if entry.like else [])]
-    bodies = [b for b in BODIES if all(b in table[n].bodies for n in needed)]
+    bodies = preset.shown([*names, *([entry.like] if entry.like else [])])
     k, e = bodies.index(entry.body), list(engines).index(entry.engine)
     turns = [(b, by) for by in (*engines[e:], *engines[:e]) for b in (*bodies[k:], *bodies[:k]) if able(by, b, names)]
     return cycle(turns)

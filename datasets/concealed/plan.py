@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, islice
 
@@ -31,9 +31,11 @@ PAIRS = (
 @dataclass(frozen=True)
 class Preset:
     """How many: ``controls``; cases of every effect, one for each of ``levels``, its size over ``FLOOR``; of ``effects`` effects, all where
-    that is None; cases with what no catalogue lists (``outside``), and with two effects (``pairs``). ``solids`` of ``bodies.SOLIDS`` says
-    what stuffed bodies are made of, ``thin`` of ``bodies.THIN`` how ropes and cloths are meshed: what locks, and coarsely, as in the sets
-    that were sealed with these presets, unless another is asked.
+    that is None, but those of ``without``; cases with what no catalogue lists (``outside``), and with two effects (``pairs``).
+
+    All are in ``bodies``, and what none of them can show is left out. ``solids`` of ``bodies.SOLIDS`` says what stuffed bodies are made of,
+    ``thin`` of ``bodies.THIN`` how ropes and cloths are meshed: what locks, and coarsely, as in the sets that were sealed with quick and
+    full, unless another is asked.
     """
 
     controls: int
@@ -43,11 +45,27 @@ class Preset:
     effects: int | None = None
     solids: str = "tetrahedra"
     thin: str = "coarse"
+    bodies: tuple[str, ...] = tuple(BODIES)
+    without: tuple[str, ...] = ()
+
+    def shown(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Of ``bodies``, those that can show all of ``names`` of ``EFFECTS`` and ``OUTSIDE``; none where one is not wanted."""
+        table = EFFECTS | OUTSIDE
+        return tuple(b for b in self.bodies if all(b in table[name].bodies and name not in self.without for name in names))
 
 
 PRESETS = {
     "quick": Preset(controls=6, levels=(2.0,), outside=2, pairs=2, effects=8),
     "full": Preset(controls=64, levels=(0.5, 1.0, 2.0, 4.0, 8.0), outside=21, pairs=24),
+    "ropes": Preset(
+        controls=80,
+        levels=tuple(mm / (1000 * FLOOR) for mm in (10, 20, 40)),
+        outside=12,
+        pairs=8,
+        thin="resolved",
+        bodies=("rope",),
+        without=("bending", "bending_damping", "torsion", "grip_points"),  # a twin that bends and twists fits all of these
+    ),
 }
 
 
@@ -86,10 +104,11 @@ def plan(preset: str | Preset, seed: str, *, engines: Sequence[str]) -> list[Ent
         raise ValueError("a plan needs at least one engine")
     preset = PRESETS[preset] if isinstance(preset, str) else preset
     rng = np.random.default_rng([entropy(seed), 0])
-    names = [str(n) for n in rng.permutation(sorted(EFFECTS))][: preset.effects]
-    wanted = [("effect", n, EFFECTS[n].bodies, level) for n in names for level in preset.levels]
-    wanted += [("outside", n, OUTSIDE[n].bodies, None) for n in _turns(rng, sorted(OUTSIDE), preset.outside)]
-    wanted += [("pair", "+".join(p), _shared(p), None) for p in _turns(rng, PAIRS, preset.pairs)]
+    effects, outside = (sorted(n for n in table if preset.shown([n])) for table in (EFFECTS, OUTSIDE))
+    names = [str(n) for n in rng.permutation(effects)][: preset.effects]
+    wanted = [("effect", n, preset.shown([n]), level) for n in names for level in preset.levels]
+    wanted += [("outside", n, preset.shown([n]), None) for n in _turns(rng, outside, preset.outside)]
+    wanted += [("pair", "+".join(p), preset.shown(p), None) for p in _turns(rng, [p for p in PAIRS if preset.shown(p)], preset.pairs)]
     first = {name: int(rng.integers(len(BODIES))) for name in sorted({w[1] for w in wanted})}
     turn, cases = Counter(), []
     for kind, name, bodies, level in wanted:
@@ -122,11 +141,6 @@ def _spread(rng, cases, engines):
         used[case.body, chosen] += 1
         given[k] = replace(case, engine=chosen)
     return given
-
-
-def _shared(pair):
-    """Bodies that can show both."""
-    return tuple(body for body in EFFECTS[pair[0]].bodies if body in EFFECTS[pair[1]].bodies)
 
 
 def _band(kind, name, level):

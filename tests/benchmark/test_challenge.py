@@ -31,8 +31,6 @@ from twinbench.datasets.concealed.make import make
 from twinbench.datasets.concealed.plan import FLOOR, PAIRS, PRESETS, Preset, plan
 from twinbench.datasets.concealed.seal import canonical, digest, folder_digest, read_json, salt_of, sealed, seed_of, write_json
 
-COARSE = {"solids": "tetrahedra", "thin": "coarse"}  # as the sealed sets have them
-
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -68,9 +66,17 @@ def test_what_is_planned_can_be_drawn(preset):
         assert set(EFFECTS[one].bodies) & set(EFFECTS[other].bodies) and set(EFFECTS[one].fits) & set(EFFECTS[other].fits)
 
 
+def test_a_preset_has_its_bodies_alone_and_nothing_that_it_leaves_out():
+    preset = PRESETS["ropes"]
+    cases = plan(preset, "7", engines=tuple(ENGINES))
+    assert {c.body for c in cases} == {"rope"} and {c.engine for c in cases} == {"mujoco", "finite", "cosserat"}
+    said = {name for c in cases for name in c.name.split("+")}
+    assert not said & set(preset.without) and "wind" in said and "tearing" not in said  # a rope does not tear
+
+
 def test_the_same_seed_is_the_same_plan_and_another_is_another():
     assert plan("full", "a", engines=("mujoco",)) == plan("full", "a", engines=("mujoco",)) != plan("full", "b", engines=("mujoco",))
-    with pytest.raises(ValueError, match="unknown preset 'huge'; known: quick, full"):
+    with pytest.raises(ValueError, match="unknown preset 'huge'; known: quick, full, ropes"):
         plan("huge", "a", engines=("mujoco",))
     with pytest.raises(ValueError, match="at least one engine"):
         plan("full", "a", engines=())
@@ -220,18 +226,18 @@ def test_a_size_that_cannot_be_drawn_becomes_any_clear_size(tmp_path, monkeypatc
         return drawn(*given, clear=clear, **named)
 
     monkeypatch.setattr(making, "build", coarse)
-    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), COARSE) == "case_000"
+    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), TINY) == "case_000"
     assert bands == [tuple(entry.clear)] * 2 + [CLEAR]
     assert json.loads((tmp_path / "sealed" / "case_000.json").read_text())["label"]["level"] is None
 
 
 def test_what_cannot_be_drawn_in_one_body_is_drawn_in_another(tmp_path, monkeypatch):
     entry = next(e for s in range(99) for e in plan("full", str(s), engines=("mujoco",)) if e.name == "tearing" and e.body == "cloth")
-    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), COARSE) == "case_000"
+    assert making._one(Folder(tmp_path), "case_000", 0, entry, "x", ("mujoco",), TINY) == "case_000"
     kept = json.loads((tmp_path / "sealed" / "case_000.json").read_text())
     assert kept["label"]["object"] != "cloth" and kept["label"]["effect"] == "tearing"
     monkeypatch.setattr(making, "build", lambda *a, **k: (_ for _ in ()).throw(RuntimeError("never")))
-    assert "could not be drawn" in making._one(Folder(tmp_path), "case_001", 1, entry, "x", ("mujoco",), COARSE)
+    assert "could not be drawn" in making._one(Folder(tmp_path), "case_001", 1, entry, "x", ("mujoco",), TINY)
     assert json.loads((tmp_path / "sealed" / "case_001.json").read_text()) == {"undrawn": ["never"] * 2 * making.TRIES}
     assert not (tmp_path / "cases" / "case_001").exists()
 

@@ -206,6 +206,16 @@ def test_steady_motion_is_brought_to_another_time_exactly(lag, seed):
     assert found.all() and np.allclose(moved, start + times[:, None, None] * velocity, atol=1e-9)
 
 
+def test_a_picture_that_was_shown_twice_has_no_velocity():
+    """Frames 2 and 3 are one picture: the others tell where it was, and frame 3 goes on from there."""
+    taken = np.array([0.0, 0.03, 0.07, 0.07, 0.13])
+    points = np.array([1.0, 2.0, 3.0]) * taken[:, None, None]
+    moved, found = resampled(np.repeat(points, 2, 1), np.ones((5, 2), bool), taken, (times := taken + 0.004))
+    assert found.all() and np.allclose(moved, np.array([1.0, 2.0, 3.0]) * times[:, None, None], atol=1e-9)
+    moved, found = resampled(np.repeat(points, 2, 1), np.ones((5, 2), bool), taken, (times := taken - 0.004))
+    assert found.all() and np.allclose(moved, np.array([1.0, 2.0, 3.0]) * times[:, None, None], atol=1e-9)
+
+
 def test_what_two_cameras_see_is_one_point_and_lives_as_long_as_either():
     start = np.array([[0.0, 0, 0], [0.001, 0, 0], [0.03, 0, 0]])
     points = np.stack([start + [0.01 * t, 0, 0] for t in range(4)])
