@@ -17,7 +17,7 @@ from ..methods.continuum.estimate import own_values
 from ..methods.continuum.twin import ContinuumTwin
 from ..methods.continuum.unknowns import Unknown
 from .config import DiagnosisConfig
-from .experiment import OPEN, planned
+from .experiment import plannable, planned
 from .inference.blocks import is_marked
 from .inference.contrast import comparable
 from .inference.peers import compared, there
@@ -148,9 +148,10 @@ def ask(
     for k, (one, _) in enumerate(parts):
         runs.append([_run(twin, one, first=not k) for twin in (found.twin, found.told)])
     verdict, names = verdict_of(found.answer, config)
-    if verdict in OPEN:
+    plan = None
+    if plannable(found.evidence, verdict, config):
         progress("looking for a motion that would tell more")
-    plan = planned(found.evidence, found.answer, verdict, names, config)
+        plan = planned(found.evidence, found.answer, verdict, names, config)
     return Outcome.of(found, parts, runs, config, plan=plan, seconds=time.time() - begun)
 
 

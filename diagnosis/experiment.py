@@ -12,16 +12,19 @@ from .inference.phases import Answer, Evidence, Named
 from .inference.planning import Plan, Reading, plan
 from .page.words import effect_name
 
-__all__ = ["OPEN", "planned", "proposed", "readings_of"]
+__all__ = ["plannable", "planned", "proposed", "readings_of"]
 
 OPEN = ("ambiguous", "unknown", "cannot_tell")  # verdicts after which another recording would help
 
 
-def planned(evidence: Evidence, answer: Answer, verdict: str, names: Sequence[str], config: DiagnosisConfig) -> Plan | None:
-    """The motion that tells best what ``verdict``, which rests on ``names``, leaves open; None where nothing is, or none runs."""
+def plannable(evidence: Evidence, verdict: str, config: DiagnosisConfig) -> bool:
+    """Whether ``verdict`` leaves something open, and hands and members are there that can make another motion."""
     held = evidence.forward.recordings[0].controllers.shape[1] > 0
-    if verdict not in OPEN or not (config.planned and held and evidence.members) or evidence.forward.contrast is not None:
-        return None
+    return bool(verdict in OPEN and config.planned and held and evidence.members) and evidence.forward.contrast is None
+
+
+def planned(evidence: Evidence, answer: Answer, verdict: str, names: Sequence[str], config: DiagnosisConfig) -> Plan | None:
+    """The motion that tells best what a ``plannable`` ``verdict``, which rests on ``names``, leaves open; None where none runs."""
     readings = readings_of(evidence, answer, verdict, names)
     return plan(evidence, answer.prior, readings, config, worse=_worse(answer, verdict)) if readings else None
 

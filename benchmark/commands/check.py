@@ -14,7 +14,7 @@ __all__ = ["Check"]
 
 @dataclass(frozen=True)
 class Check:
-    """Say what is missing or wrong in a recording of the published layout, file by file."""
+    """Say what is missing or wrong in recordings of any known layout, file by file."""
 
     case: Annotated[Positional[str], arg(metavar="CASE")]
     """Folder of one recording, or of several; or "sample"."""

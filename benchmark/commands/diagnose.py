@@ -33,13 +33,14 @@ class Diagnose(OnCluster):
     transfer: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
     """Other interactions with the same object. They are never fitted."""
     fitted_on: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
-    """Recordings that the twin is fitted on and taken as adequate for. Default: the training frames of CASE."""
+    """Recordings in which nothing is missing: all of their frames are fitted beside the training frames of CASE, and effects are asked in
+    CASE alone. Springs, and a continuum of markers, are fitted to these recordings only."""
     against: Annotated[tuple[str, ...], arg(metavar="CASE ...")] = ()
     """Sound recordings of the same command as CASE: how far it differs from them is asked (--twin continuum)."""
     twin: str = "auto"
     """Which twin is questioned: continuum, with sound twins beside it as a measure; springs, a coarse net as PhysTwin's; or auto: continuum
-    for a solid or a rope that is tracked all over, springs for cloth and markers. Markers on a cable can be asked of a continuum beside
-    eight recordings or more of --fitted-on."""
+    for a solid or a rope that is tracked all over, for one cable with markers that stands alone, for several recordings and with --against;
+    else springs. Beside eight recordings or more of --fitted-on a continuum can be asked of a cable as well."""
     preset: str = "quick"
     """How much work: quick or full."""
     device: str = "cpu"

@@ -32,8 +32,8 @@ class Run(OnCluster):
     scenarios: Names = ()
     """Score only these recordings. Default: all."""
     methods: Names | None = None
-    """Methods to compare (see twinbench list), with spaces or commas between them. all: every one but phystwin+diagnosed, which takes
-    as long as several others. Default: static rigid phystwin."""
+    """Methods to compare (see twinbench list), with spaces or commas between them. all: every one but phystwin+diagnosed and
+    continuum+diagnosed, which take as long as several others. Default: static rigid phystwin."""
     ablation: str = ""
     """Compare what an ablation compares (see twinbench list), instead of methods."""
     metrics: Names = ()

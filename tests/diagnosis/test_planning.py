@@ -8,7 +8,7 @@ import pytest
 from blocks import FRAMES, TRUE, recorded, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
-from twinbench.diagnosis.experiment import _worse, planned, proposed, readings_of
+from twinbench.diagnosis.experiment import _worse, plannable, planned, proposed, readings_of
 from twinbench.diagnosis.inference import planning
 from twinbench.diagnosis.inference.covariance import Prior, Scatter
 from twinbench.diagnosis.inference.forward import Forward
@@ -124,8 +124,13 @@ def test_nothing_is_planned_where_nothing_is_open(evidence):
     seen = SimpleNamespace(test=misfits)
     assert [_worse(seen, v) for v in ("cannot_tell", "unknown", "ambiguous")] == pytest.approx([4.0, 4.0, 1.0])
     assert _worse(SimpleNamespace(test=SimpleNamespace(misfit=0.5, misfits=(1.0, 2.0))), "cannot_tell") == 1.0
-    for verdict in ("adequate", "missing", "measurement"):
-        assert planned(evidence, answer(), verdict, (), CONFIG) is None
-    assert planned(evidence, answer([refit("wind", 3.0)]), "unknown", (), replace(CONFIG, planned=0)) is None
+    assert plannable(evidence, "unknown", CONFIG) and not any(
+        plannable(evidence, v, CONFIG) for v in ("adequate", "missing", "measurement")
+    )
+    assert not plannable(evidence, "unknown", replace(CONFIG, planned=0)) and not plannable(
+        replace(evidence, members=()), "unknown", CONFIG
+    )
+    assert not plannable(replace(evidence, forward=replace(evidence.forward, contrast=object())), "unknown", CONFIG)
+    assert planned(evidence, answer(), "unknown", (), CONFIG) is None  # nothing was refitted
     assert proposed(None, "ambiguous", ("wind", "quadratic_drag")).startswith("What would show it best: wind")
     assert proposed(None, "adequate", ()) is None

@@ -69,7 +69,8 @@ def march(made, device, *, double, team=None):
     weight = np.random.default_rng(0).normal(size=tuple(out.shape))
     loss = (out * out.new_tensor(weight)).sum() + (x**2).sum() + (v**2).sum() + memory.sum()
     loss.backward()
-    return out.detach().cpu(), {f.name: getattr(inputs, f.name).grad.cpu() for f in fields(Inputs)}
+    grads = {f.name: getattr(inputs, f.name).grad for f in fields(Inputs)}
+    return out.detach().cpu(), {name: grad.cpu() for name, grad in grads.items() if grad.numel()}  # what bodies have none of is empty
 
 
 def loss_of(made, team):
