@@ -20,6 +20,7 @@ from .inference.planning import Plan
 from .keeping import write_tracks, write_twins
 from .motions import figures
 from .page.document import plain
+from .page.words import effect_name
 from .report import write_report
 
 __all__ = ["Outcome", "chance_of_sound", "verdict_of"]
@@ -54,7 +55,7 @@ class Outcome:
             "effect": names[0] if names else None,
             "alternatives": list(names[1:]),
             "probabilities": _probabilities(answer, verdict),
-            "why": _why_undecided(answer, config) if verdict == "cannot_tell" else None,
+            "why": _why_open(answer, verdict, config),
             "test": _test(answer, found.evidence, config),
             "where": _where(first, forward.simulators[0].scene.body.structure),
             "when": {"frames": [0, parts[0][0].frame_count]} if first else None,
@@ -65,7 +66,7 @@ class Outcome:
             "detectable_mm": _detectable(answer, found.evidence, "mm"),
             "experiment": proposed(plan, verdict, names),
             "evidence": {
-                "hypotheses": _hypotheses(answer, found.evidence, names),
+                "hypotheses": _hypotheses(answer, found.evidence, names, config),
                 "noise_floor": floor,
                 "notes": _notes(found, answer, config),
                 "recordings": _recordings(parts),
@@ -123,6 +124,21 @@ def _why_undecided(answer: Answer, config: DiagnosisConfig) -> str | None:
     if answer.test.p_held_out < config.level:
         return f"On the frames held out the twin is off by more than sound twins are (p = {answer.test.p_held_out:.2g})."
     return None
+
+
+def _why_open(answer: Answer, verdict: str, config: DiagnosisConfig) -> str | None:
+    """Why nothing can be told, or why what was found has no name, in a sentence; None where neither is asked, or nobody knows."""
+    if verdict == "cannot_tell":
+        return _why_undecided(answer, config)
+    wrong = _shortcoming(answer.named[0], config) if verdict == "unknown" and answer.named else None
+    return f"The likeliest of those that were tried, {effect_name(answer.named[0].name)}, {wrong}." if wrong else None
+
+
+def _shortcoming(one: Named, config: DiagnosisConfig) -> str | None:
+    """Why a refit is not believed, if it is not."""
+    if one.left < config.level:
+        return "leaves more unexplained than sound twins do"
+    return "does not hold on the held-out frames" if one.gain.share <= one.gain.error else None
 
 
 def chance_of_sound(p: float) -> float:
@@ -216,7 +232,7 @@ def _detectable(answer: Answer, evidence: Evidence, unit: str) -> dict:
     return found
 
 
-def _hypotheses(answer: Answer, evidence: Evidence, names) -> list[dict]:
+def _hypotheses(answer: Answer, evidence: Evidence, names, config: DiagnosisConfig) -> list[dict]:
     """A row for every effect that was asked: what it explains, and what speaks for or against it."""
     full = {n.name: n for n in answer.named}
     shares = {d.name: d.unabsorbed for d in sorted(answer.detectable, key=lambda d: d.unabsorbed)}
@@ -238,22 +254,20 @@ def _hypotheses(answer: Answer, evidence: Evidence, names) -> list[dict]:
                 "amplitude": None if one is None else float(np.linalg.norm(list(one.amounts.values()))),
                 "unit": units[name],
                 "probability": answer.probabilities.get(name) if one else None,
-                "why": _why(name, one, names),
+                "why": _why(name, one, names, config),
             }
         )
     return rows
 
 
-def _why(name: str, one: Named | None, names) -> str:
+def _why(name: str, one: Named | None, names, config: DiagnosisConfig) -> str:
     if names and name == names[0]:
         return "chosen"
     if name in names:
         return "the recordings cannot tell it from the first"
     if one is None:
         return "others explain more of what sound twins leave"
-    if one.gain.share < one.gain.error:
-        return "does not hold on the held-out frames"
-    return "others are likelier"
+    return _shortcoming(one, config) or "others are likelier"
 
 
 def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:

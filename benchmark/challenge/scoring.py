@@ -24,7 +24,7 @@ from .truths import Row
 
 __all__ = ["Scored", "markdown", "score_set", "terminal", "write_scores"]
 
-JUDGE = "diagnosis"  # whose controls say what a twin of a sound body is off by, for all entrants alike
+JUDGES = ("diagnosis", "continuum")  # the first who answered says what a twin of a sound body is off by, for all entrants alike
 CEILING = "oracle"
 SHOWN = 5  # failed answers of an entrant whose reasons are printed
 # figures of everybody's table, and what its columns are called
@@ -62,7 +62,7 @@ def score_set(root: str | Path) -> Scored:
     def rows(answers):
         return [Row(name, label, answers.get(name, FAILED), told.get(name)) for name, label in labels.items()]
 
-    judge = rows(said.get(JUDGE, {}))
+    judge = rows(next((said[name] for name in JUDGES if name in said), {}))
     scored = {}
     for name, (status, _) in found.items():
         own = with_floors(rows(said[name]), judge) if name in said else []

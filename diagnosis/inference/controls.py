@@ -109,10 +109,9 @@ class Controls:
         least = min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=False))
         return 1 - (1 - least) ** len(self.tails)
 
-    def usual(self, share: float, level: float) -> bool:
-        """Whether as much of the motion as ``share`` says (a logarithm) is left in more than ``level`` of sound recordings, where that is
-        known."""
-        return len(self.tails) < 3 or self.tails[2].beyond(share) >= level
+    def least(self, misfit: float, share: float) -> float:
+        """The smaller p of a misfit, in deviations of its members', and of a ``share`` of the motion (a logarithm), where that is known."""
+        return min(self.tails[0].beyond(misfit), *(tail.beyond(share) for tail in self.tails[2:]), 1.0)
 
     def alarming(self, level: float) -> float:
         """The largest score, in deviations of members', above which p is below ``level`` whatever the misfit."""

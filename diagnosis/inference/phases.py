@@ -19,7 +19,7 @@ from .forward import Forward
 from .members import Member, drawn, ran
 from .refit import Gain, Refit, gained, refitted
 from .scan import Signature, signatures
-from .significance import Significance, fitted_rows, left_of, significance
+from .significance import Significance, fitted_rows, significance, unexplained
 
 __all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "weighed"]
 
@@ -55,7 +55,8 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A candidate that was refitted: its ``probability`` among all effects, what it gains on frames that nobody fitted, where it acts."""
+    """A candidate that was refitted: its ``probability`` among all effects, what it gains on frames that nobody fitted, where it acts, and
+    the p that a sound body's twin leaves as much of the fitted frames as it does (``left``): what explains too little is no name."""
 
     candidate: Candidate
     name: str
@@ -66,6 +67,7 @@ class Named:
     sds: dict[str, float]
     place: tuple[float, ...] | None
     gain: Gain
+    left: float
     refit: Refit
 
 
@@ -170,8 +172,8 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
         asked = [likeliest] if likeliest not in refits and len(refits) < MOST * config.refitted else []
     tell(f"{len(refits)} candidates refitted")
     best = [(e.catalogue[best[name]], found) for name, found in refits.items()]
-    named = sorted((_named(e, s, r, sound, chances) for s, r in best), key=lambda n: -n.probability)
-    confirmed = bool(named) and _confirmed(named[0]) and _explains(e, named[0].refit, rows, controls, config)
+    named = sorted((_named(e, s, r, sound, chances, _left(e, prior, r, controls)) for s, r in best), key=lambda n: -n.probability)
+    confirmed = bool(named) and _confirmed(named[0]) and named[0].left >= config.level
     verdict = "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
@@ -215,7 +217,7 @@ def _chances(test: Significance, catalogue, refits: Mapping[int, float]) -> dict
     return {names[k]: float(shares[k]) for k in np.argsort(-means, kind="stable")}
 
 
-def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances) -> Named:
+def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances, left: float) -> Named:
     candidate, layout = signature.candidate, e.scatter.layout
     away = np.flatnonzero(~layout.fitted)
     data = e.forward.data
@@ -225,7 +227,7 @@ def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chance
     amounts, sds = (dict(zip(names, map(float, values), strict=True)) for values in (refit.amounts, refit.sd))
     place = None if candidate.place is None else tuple(candidate.place.tolist())
     evidence = refit.log_evidence - sound.log_evidence
-    return Named(candidate, signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, refit)
+    return Named(candidate, signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, left, refit)
 
 
 def _confirmed(first: Named) -> bool:
@@ -233,10 +235,9 @@ def _confirmed(first: Named) -> bool:
     return bool(np.isnan(first.gain.share) or first.gain.share > first.gain.error)
 
 
-def _explains(e: Evidence, refit: Refit, rows, controls: Controls | None, config: DiagnosisConfig) -> bool:
-    """Whether the twin with it leaves no more of the motion than sound twins do, where controls say how much that is."""
-    share = left_of((e.forward.data - refit.prediction)[rows], e.forward.motion[rows])
-    return controls is None or controls.usual(share, config.level)
+def _left(e: Evidence, prior: Prior, refit: Refit, controls: Controls | None) -> float:
+    """p that a sound body's twin leaves as much as the twin with what a refit adds."""
+    return unexplained(e.scatter, prior, e.forward.data - refit.prediction, e.noisy, e.forward.motion, controls)
 
 
 def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisConfig) -> tuple[str, ...]:

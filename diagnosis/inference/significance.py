@@ -18,7 +18,7 @@ from .controls import Controls
 from .covariance import Prior, Scatter
 from .scan import Score, Signature, scores
 
-__all__ = ["Significance", "fitted_rows", "left_of", "predictive", "significance"]
+__all__ = ["Significance", "fitted_rows", "left_of", "predictive", "significance", "unexplained"]
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,15 @@ def significance(
     return Significance(
         p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls
     )
+
+
+def unexplained(scatter: Scatter, prior: Prior, residual, noisy, motion, controls: Controls | None) -> float:
+    """p that a sound body's twin leaves as much as ``residual`` (B,) m, what a refit leaves of the fitted block means: its misfit, and how
+    much of the motion it is where controls know that. The smaller of both, without a price: either alone says that something is left.
+    """
+    rows = np.flatnonzero(scatter.layout.fitted)
+    p, far = predictive(*_misfits(scatter.only(rows), prior, residual[rows], noisy[:, rows]))
+    return controls.least(far, left_of(residual[rows], np.asarray(motion)[rows])) if controls else p
 
 
 def left_of(residual, motion) -> float:

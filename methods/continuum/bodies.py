@@ -158,6 +158,11 @@ class Body(ABC):
         """What is fitted of the material that ``bodies`` have in common."""
 
     @classmethod
+    def taut_unknowns(cls, bodies: Sequence[Body]) -> list[Unknown]:
+        """What shows where two hands hold a body, besides: how far it gives way between them."""
+        return []
+
+    @classmethod
     @abstractmethod
     def starts(cls, bodies: Sequence[Body], recordings: Sequence[Observed], unknowns: Sequence[Unknown], config: Config) -> np.ndarray:
         """(K, n) values of ``unknowns`` from which a search begins."""

@@ -51,7 +51,8 @@ def unknowns_of(scenes: Sequence[Scene], config: Config) -> list[Unknown]:
     came at half to twice the rate that was meant.
     """
     log, body = np.log, scenes[0].body
-    found = body.unknowns([scene.body for scene in scenes])
+    bodies = [scene.body for scene in scenes]
+    found = body.unknowns(bodies) + (body.taut_unknowns(bodies) if any(len(scene.hands) > 1 for scene in scenes) else [])
     if any(scene.ground is not None for scene in scenes):
         found.append(Unknown("coulomb_friction", 0.5, 0.05, 2.0, "-", "log", prior=(log(0.5), 0.5)))
     for r, scene in enumerate(scenes):

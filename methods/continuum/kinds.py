@@ -1,8 +1,8 @@
 """Whether a body is a rope, a sheet or a solid, from three lengths: how long it is along itself, how wide, and how thick.
 
 Its length is the longest way within it, from neighbour to neighbour; its width the largest extent of a slice of points that are equally far
-along that way; its thickness that of its inside. What is ``SLENDER`` times as long as wide is a rope, as wide as thick a sheet, and
-everything else a solid. A sheet that is draped has bays, which count as inside where the ball that tells the inside is too large for them:
+along that way; its thickness that of its inside. What is ``SLENDER`` times as long as wide is a rope, ``FLAT`` times as wide as thick a
+sheet, and everything else a solid. A sheet that is draped has bays, which count as inside where the ball that tells the inside is too large for them:
 such an inside grows with the ball, that of a solid does not, and a sheet folds more sharply than a solid of that thickness could.
 """
 
@@ -15,7 +15,8 @@ from .inside import Inside, inside_of
 __all__ = ["KINDS", "farthest_ways", "growth_of", "kind_of", "length_and_width"]
 
 KINDS = ("rope", "sheet", "solid")
-SLENDER = 16.0  # a plush bar is up to 8 times as long as wide, a cord 40 times; a slab 8 times as wide as thick, a cloth 60 times
+SLENDER = 10.0  # from which bending says what a bar does; a plush bar is up to 8 times as long as wide, a thick rope 20, as cameras see it 12
+FLAT = 16.0  # a slab is 8 times as wide as thick, a cloth 60 times
 LARGER = 1.2  # by which the ball is made larger to see whether the inside grows
 GROWTH = 0.07  # share by which the inside of a solid grows at most: plush 0.02, draped cloths 0.13 to 0.5
 LINKS = 6  # neighbours that a point is joined to
@@ -35,10 +36,10 @@ def kind_of(points, inside: Inside | None, spacing: float, folded: bool | None =
     width = max(width, thickness)
     slender, flat = (a / max(b, 1e-9) for a, b in ((length, width), (width, thickness)))
     hollow = growth > GROWTH and folded is not False
-    kind = "rope" if slender > SLENDER else "sheet" if flat > SLENDER or hollow else "solid"
+    kind = "rope" if slender > SLENDER else "sheet" if flat > FLAT or hollow else "solid"
     words = (
         f"{1e3 * length:.0f} mm long, {1e3 * width:.1f} mm wide and {1e3 * thickness:.1f} mm thick: {_times(slender)} times as long as "
-        f"wide and {_times(flat)} times as wide as thick, where {SLENDER:g} makes a rope or a sheet; its inside grows by "
+        f"wide and {_times(flat)} times as wide as thick, where {SLENDER:g} makes a rope and {FLAT:g} a sheet; its inside grows by "
         f"{100 * growth:.1f} % with a ball {LARGER:g} times as large, where more than {100 * GROWTH:g} % are the bays of a sheet"
         + {True: "; it folds like a sheet", False: "; it never folds like a sheet", None: ""}[folded]
     )

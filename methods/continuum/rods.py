@@ -15,6 +15,7 @@ from ...physics.hinges import natural_curvature
 from ...physics.points import Points
 from ...physics.terms import Bending, BendingDamping, Dashpot, LinearDrag, Springs, Torsion
 from ...physics.terms.natural_curvature import NaturalCurvature
+from ...physics.terms.stiffness_level import StiffnessLevel
 from .axis import axis_of, resampled
 from .bodies import Body
 from .body import SolidBody
@@ -201,7 +202,8 @@ class Rod(Body):
     def terms(self):
         rattle = 2 * RATTLE * np.sqrt(self.tension * LINE_DENSITY)
         shape = NaturalCurvature({"natural_kept": 0.0 if self.is_marked else 1.0})
-        return [Springs(), Dashpot({"dashpot_damping": min(rattle, 200.0)}), Bending(), BendingDamping(), Torsion(), shape, LinearDrag()]
+        along = [StiffnessLevel(), Springs(), Dashpot({"dashpot_damping": min(rattle, 200.0)})]
+        return [*along, Bending(), BendingDamping(), Torsion(), shape, LinearDrag()]
 
     def complete(self, values):
         known = {"bending_stiffness": self.usual, "bending_time": 0.01, "torsion_ratio": 0.7, "drag_damping": 0.3, **values}
@@ -210,7 +212,10 @@ class Rod(Body):
 
     def stiffest(self, values):
         names = ("bending_stiffness", "bending_damping", "torsion_stiffness")
-        return {name: BENT * rounded_up(values[name]) for name in names}
+        return {name: BENT * rounded_up(values[name]) for name in names} | {"body_stiffness": rounded_up(values["body_stiffness"])}
+
+    def stiffened(self, system, values):
+        return replace(system, stiffness=system.stiffness * values["body_stiffness"])
 
     @cached_property
     def embedding(self):
@@ -254,6 +259,11 @@ class Rod(Body):
         if bodies[0].is_marked:
             return found + shape_unknowns()
         return [*found, Unknown("natural_kept", 0.9, 0.0, 1.2, "-", prior=(0.8, 0.4))]
+
+    @classmethod
+    def taut_unknowns(cls, bodies: Sequence[Any]) -> list[Unknown]:
+        """How stiff it is against stretch, times ``tension``: what is pulled straight between two hands sags or snaps by that."""
+        return [] if bodies[0].is_marked else [Unknown("body_stiffness", 1.0, 0.2, 5.0, "-", "log", prior=(0.0, np.log(2.0)))]
 
     @classmethod
     def starts(cls, bodies: Sequence[Any], recordings, unknowns, config: Config) -> np.ndarray:

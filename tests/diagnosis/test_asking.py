@@ -13,7 +13,7 @@ from twinbench.diagnosis.asking import ask
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
 from twinbench.diagnosis.diagnosed import extend
-from twinbench.diagnosis.outcome import chance_of_sound, verdict_of
+from twinbench.diagnosis.outcome import _why_open, chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
 from twinbench.diagnosis.suitable import has_continuum, suitable
 from twinbench.methods.continuum import Continuum
@@ -165,3 +165,15 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
     sound = ask([block("sound", seed=5), block("other", seed=6)], config=CONFIG)
     assert sound.result["test"]["p"] > 0.03 and sound.result["effect"] is None
     assert {part["record"] for part in sound.result["budget"]} == {0, 1}
+
+
+def test_what_has_no_name_says_what_the_likeliest_lacks():
+    def answered(*named):
+        return SimpleNamespace(
+            named=[SimpleNamespace(name="wind", left=left, gain=SimpleNamespace(share=share, error=0.1)) for left, share in named]
+        )
+
+    config = DiagnosisConfig()
+    assert _why_open(answered((0.001, 0.9)), "unknown", config).endswith("wind, leaves more unexplained than sound twins do.")
+    assert _why_open(answered((0.5, -0.2)), "unknown", config).endswith("wind, does not hold on the held-out frames.")
+    assert _why_open(answered(), "unknown", config) is None and _why_open(answered((0.001, 0.9)), "missing", config) is None

@@ -78,8 +78,9 @@ def test_what_a_twin_leaves_of_the_motion_counts_where_it_was_frozen(tmp_path):
     three = np.c_[random.normal(size=(40, 2)), random.normal(-2.7, 0.4, 40)]
     known = Controls(three)
     assert len(known.tails) == 3 and known.p((0.0, 0.0, 0.0)) < 1e-3 < 0.2 < known.p((0.0, 0.0, -2.7))
-    assert known.usual(-2.5, 0.03) and not known.usual(-1.0, 0.03)  # and a name must leave as little
-    assert Controls(three[:, :2]).usual(9.0, 0.03)
+    assert known.least(0.0, -2.5) > 0.03 > known.least(0.0, -1.0)  # and a name must leave as little
+    assert known.least(0.0, -2.7) == pytest.approx(0.5, abs=0.1) and known.least(5.0, -2.7) < 1e-3  # of motion, and of misfit
+    assert Controls(three[:, :2]).least(0.0, 9.0) > 0.3
     assert Controls(three[:, :2]).p((0.0, 0.0, 0.0)) > 0.2  # of kinds without it the third is not looked at
     marked = pd.read_csv(table(tmp_path, 40, kind="marked rope"))
     marked.to_csv(tmp_path / "short.csv", index=False)

@@ -13,8 +13,9 @@ from twinbench.methods.continuum import Continuum
 from twinbench.methods.continuum.axis import axis_of
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
+from twinbench.methods.continuum.estimate import unknowns_of
 from twinbench.methods.continuum.natural import common_shapes
-from twinbench.methods.continuum.rods import GRAVITY, Rod
+from twinbench.methods.continuum.rods import GRAVITY, STRETCH, Rod
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.start import Speeds
@@ -73,6 +74,29 @@ def test_a_limp_cable_hangs_in_a_catenary():
     a = brentq(lambda a: 2 * a * np.sinh(apart / 2 / a) - LENGTH, 0.05, 10)
     sag = a * (np.cosh(apart / 2 / a) - 1)
     assert -found[:, 2].min() == pytest.approx(sag, rel=0.02)  # it stretches by 0.2 %, which sags by some 0.5 % more
+
+
+@pytest.mark.parametrize("level", [1.0, 4.0])
+def test_a_taut_cable_sags_by_its_stretch(level):
+    # ends as far apart as it is long: the strain 8 s^2 / (3 L^2) of a parabola of sag s is T / EA, T = rho g L^2 / (8 s), so that
+    # s^3 = 3 rho g L^4 / (64 EA), and EA = level rho g L / STRETCH. Second order in s / L = 0.05; 16 segments make a chord 0.4 % shorter
+    found = at_rest(cable(straight(), (0, MARKERS - 1)), dict(bending_stiffness=1e-6, body_stiffness=level))
+    assert -found[:, 2].min() == pytest.approx(LENGTH * (3 * STRETCH / (64 * level)) ** (1 / 3), rel=0.02)
+
+
+def test_stretch_is_fitted_where_two_hands_hold_a_filmed_rope():
+    one = filmed()
+    nobody, pair = Scene.of(one, Rod.of(one, body_of(one, kind="rope"))), replace(one, controllers=two_hands(one), grips=np.full(40, -1))
+    names = [{u.name for u in unknowns_of([scene], Config())} for scene in (nobody, Scene.of(pair, nobody.body))]
+    assert names[1] - {n for n in names[1] if n.startswith("rec0_grip")} == names[0] | {"body_stiffness"}
+    assert "body_stiffness" not in {u.name for u in Rod.unknowns([nobody.body])}
+
+
+def two_hands(recording):
+    """(1, 40, 3) m, controllers around both ends of a filmed rope."""
+    ends = np.array([[0.16, 0.0, 0.0], [-0.16, 0.0, 0.0]])
+    ball = np.random.default_rng(1).normal(0, 0.005, (20, 3))
+    return (ends[:, None] + ball).reshape(1, -1, 3)
 
 
 def test_without_weight_a_cable_takes_its_natural_shape():
