@@ -2,8 +2,8 @@
 
 Its length is the longest way within it, from neighbour to neighbour; its width the largest extent of a slice of points that are equally far
 along that way; its thickness that of its inside. What is ``SLENDER`` times as long as wide is a rope, ``FLAT`` times as wide as thick a
-sheet, and everything else a solid. A sheet that is draped has bays, which count as inside where the ball that tells the inside is too large for them:
-such an inside grows with the ball, that of a solid does not, and a sheet folds more sharply than a solid of that thickness could.
+sheet, and everything else a solid. A sheet that is draped has bays, which count as inside where the ball that tells the inside is too large
+for them: such an inside grows with the ball, that of a solid does not, and a sheet folds more sharply than a solid of that thickness could.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .inside import Inside, inside_of
 __all__ = ["KINDS", "farthest_ways", "growth_of", "kind_of", "length_and_width"]
 
 KINDS = ("rope", "sheet", "solid")
-SLENDER = 10.0  # from which bending says what a bar does; a plush bar is up to 8 times as long as wide, a thick rope 20, as cameras see it 12
+SLENDER = 10.0  # whose bending is a bar's; a plush bar is up to 8 times as long as wide, a thick rope 20, as cameras see it 12
 FLAT = 16.0  # a slab is 8 times as wide as thick, a cloth 60 times
 LARGER = 1.2  # by which the ball is made larger to see whether the inside grows
 GROWTH = 0.07  # share by which the inside of a solid grows at most: plush 0.02, draped cloths 0.13 to 0.5
