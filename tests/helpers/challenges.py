@@ -103,7 +103,7 @@ def with_fakes(monkeypatch, fakes=FAKES):
     for module in (answering, book, opening):
         monkeypatch.setattr(module, "entrants", lambda: fakes)
     monkeypatch.setattr(answering, "commit", lambda: COMMIT)
-    monkeypatch.setattr(scoring, "JUDGE", "guess")
+    monkeypatch.setattr(scoring, "JUDGES", ("guess",))
 
 
 def spoil(file, change):
