@@ -15,7 +15,7 @@ from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .effects import effects
 from .experiment import proposed
-from .inference.phases import Answer, Evidence, Named
+from .inference.phases import Answer, Evidence, Named, shortcoming
 from .inference.planning import Plan
 from .keeping import write_tracks, write_twins
 from .motions import figures
@@ -130,15 +130,8 @@ def _why_open(answer: Answer, verdict: str, config: DiagnosisConfig) -> str | No
     """Why nothing can be told, or why what was found has no name, in a sentence; None where neither is asked, or nobody knows."""
     if verdict == "cannot_tell":
         return _why_undecided(answer, config)
-    wrong = _shortcoming(answer.named[0], config) if verdict == "unknown" and answer.named else None
+    wrong = shortcoming(answer.named[0], config.level) if verdict == "unknown" and answer.named else None
     return f"The likeliest of those that were tried, {effect_name(answer.named[0].name)}, {wrong}." if wrong else None
-
-
-def _shortcoming(one: Named, config: DiagnosisConfig) -> str | None:
-    """Why a refit is not believed, if it is not."""
-    if one.left < config.level:
-        return "leaves more unexplained than sound twins do"
-    return "does not hold on the held-out frames" if one.gain.share <= one.gain.error else None
 
 
 def chance_of_sound(p: float) -> float:
@@ -267,7 +260,7 @@ def _why(name: str, one: Named | None, names, config: DiagnosisConfig) -> str:
         return "the recordings cannot tell it from the first"
     if one is None:
         return "others explain more of what sound twins leave"
-    return _shortcoming(one, config) or "others are likelier"
+    return shortcoming(one, config.level) or "others are likelier"
 
 
 def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:

@@ -13,7 +13,6 @@ from dataclasses import asdict, fields, replace
 from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
-from typing import TypedDict
 
 import numpy as np
 
@@ -44,11 +43,6 @@ def write_pair(case: Case, folder: Path, index: int) -> None:
         write_case(folder / part, replace(getattr(case, part), **about))
     for path in [*folder.rglob("*"), folder]:
         os.utime(path, (WHEN, WHEN))
-
-
-class _Meshes(TypedDict):
-    solids: str
-    thin: str
 
 
 def make(
@@ -127,22 +121,23 @@ def _there(folder: Folder, name: str) -> bool:
 
 def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines: Sequence[str], preset: Preset) -> str:
     """Draw and write one case; says whether it could be drawn."""
-    reasons, how = [], _Meshes(solids=preset.solids, thin=preset.thin)
+    reasons, meshes = [], (preset.solids, preset.thin)
     turns = list(islice(_turns(entry, engines, preset), TRIES))
     tried = [(*turn, entry.clear, entry.level) for turn in turns]
     tried += [(*turn, CLEAR, None) for turn in turns if tuple(entry.clear) != CLEAR]
     for attempt, (body, by, clear, level) in enumerate(tried):
         own = int(np.random.default_rng([entropy(seed), 1, index, attempt]).integers(2**31))
         try:
-            case = build(entry.kind, entry.name, body, seed=own, clear=(clear[0], clear[1]), like=entry.like, engine=by, **how)
+            about: dict = dict(clear=(clear[0], clear[1]), like=entry.like, engine=by, solids=preset.solids, thin=preset.thin)
+            case = build(entry.kind, entry.name, body, seed=own, **about)
         except RuntimeError as reason:
             reasons.append(str(reason))
             continue
         write_pair(case, folder.cases / name, index)
         frames = [len(case.fit.points), len(case.transfer.points)]
         label = case.label | {"level": level, "like": entry.like or None, "simulated_by": by, "frames": frames}
-        if how != _Meshes(solids=Preset.solids, thin=Preset.thin):  # labels of sets that are sealed already stay as they were published
-            label |= refinement(body, by, meshing(body, **how), label["interactions"])
+        if meshes != (Preset.solids, Preset.thin):  # labels of sets that are sealed already stay as they were published
+            label |= refinement(body, by, meshing(body, *meshes), label["interactions"])
         write_json(folder.kept / f"{name}.json", {"label": label, "salt": salt_of(seed, name)})
         return name
     write_json(folder.kept / f"{name}.json", {"undrawn": reasons})

@@ -21,7 +21,7 @@ from .refit import Gain, Refit, gained, refitted
 from .scan import Signature, signatures
 from .significance import Significance, fitted_rows, significance, unexplained
 
-__all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "weighed"]
+__all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "shortcoming", "weighed"]
 
 MOST = 2  # times ``config.refitted`` candidates that are refitted while one that was not is the likeliest
 
@@ -172,8 +172,10 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
         asked = [likeliest] if likeliest not in refits and len(refits) < MOST * config.refitted else []
     tell(f"{len(refits)} candidates refitted")
     best = [(e.catalogue[best[name]], found) for name, found in refits.items()]
-    named = sorted((_named(e, s, r, sound, chances, _left(e, prior, r, controls)) for s, r in best), key=lambda n: -n.probability)
-    confirmed = bool(named) and _confirmed(named[0]) and named[0].left >= config.level
+    whole, seen = scatter.only(rows).likelihood(prior), (e.forward.data[rows], e.forward.motion[rows])
+    left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r in best]
+    named = sorted((_named(e, s, r, sound, chances, p) for (s, r), p in zip(best, left, strict=True)), key=lambda n: -n.probability)
+    confirmed = bool(named) and shortcoming(named[0], config.level) is None
     verdict = "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
@@ -183,7 +185,7 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
         prior,
         tuple(named),
         chances,
-        _parallel(scatter.only(rows).likelihood(prior), rows, first, e.catalogue, config) if first else (),
+        _parallel(whole, rows, first, e.catalogue, config) if first else (),
         tuple(detectable(scatter, prior, test, e.catalogue, config.level)),
         tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change)),
         e.forward.cost.runs,
@@ -230,14 +232,12 @@ def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chance
     return Named(candidate, signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, left, refit)
 
 
-def _confirmed(first: Named) -> bool:
-    """Whether it gains on frames that nobody fitted, by more than a standard error, or there are none to gain on."""
-    return bool(np.isnan(first.gain.share) or first.gain.share > first.gain.error)
-
-
-def _left(e: Evidence, prior: Prior, refit: Refit, controls: Controls | None) -> float:
-    """p that a sound body's twin leaves as much as the twin with what a refit adds."""
-    return unexplained(e.scatter, prior, e.forward.data - refit.prediction, e.noisy, e.forward.motion, controls)
+def shortcoming(one: Named, level: float) -> str | None:
+    """Why a refit is not believed, if it is not: what it leaves, or that it does not gain, by more than a standard error, on frames that
+    nobody fitted, where there are any."""
+    if one.left < level:
+        return "leaves more unexplained than sound twins do"
+    return "does not hold on the held-out frames" if one.gain.share <= one.gain.error else None
 
 
 def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisConfig) -> tuple[str, ...]:

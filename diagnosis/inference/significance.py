@@ -16,6 +16,7 @@ import numpy as np
 
 from .controls import Controls
 from .covariance import Prior, Scatter
+from .likelihood import Likelihood
 from .scan import Score, Signature, scores
 
 __all__ = ["Significance", "fitted_rows", "left_of", "predictive", "significance", "unexplained"]
@@ -104,13 +105,13 @@ def significance(
     )
 
 
-def unexplained(scatter: Scatter, prior: Prior, residual, noisy, motion, controls: Controls | None) -> float:
+def unexplained(test: Significance, likelihood: Likelihood, residual, motion) -> float:
     """p that a sound body's twin leaves as much as ``residual`` (B,) m, what a refit leaves of the fitted block means: its misfit, and how
-    much of the motion it is where controls know that. The smaller of both, without a price: either alone says that something is left.
+    much of their ``motion`` (B,) m it is where controls know that. The smaller of both, without a price: either alone says that something
+    is left. ``likelihood`` of these block means by sound twins, as ``test``'s.
     """
-    rows = np.flatnonzero(scatter.layout.fitted)
-    p, far = predictive(*_misfits(scatter.only(rows), prior, residual[rows], noisy[:, rows]))
-    return controls.least(far, left_of(residual[rows], np.asarray(motion)[rows])) if controls else p
+    p, far = predictive(likelihood.misfit(residual) / len(residual), test.misfits)
+    return test.controls.least(far, left_of(residual, motion)) if test.controls else p
 
 
 def left_of(residual, motion) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -114,7 +115,8 @@ class Body(ABC):
 
     def stiffened(self, system: System, values: dict[str, float]) -> System:
         """``system`` of complete ``values`` as stability is to see it: where a term scales springs, with scaled ones."""
-        return system
+        level = values.get("body_stiffness")
+        return system if level is None else replace(system, stiffness=system.stiffness * level)
 
     @abstractmethod
     def followed(self, path: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 
@@ -79,9 +79,6 @@ class Net(Solid):
             body_stiffness=rounded_up(values["body_stiffness"]),
             dashpot_damping=rounded_up(values["dashpot_damping"]),
         )
-
-    def stiffened(self, system, values):
-        return replace(system, stiffness=system.stiffness * values["body_stiffness"])
 
     @classmethod
     def unknowns(cls, bodies) -> list[Unknown]:

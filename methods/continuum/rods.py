@@ -214,9 +214,6 @@ class Rod(Body):
         names = ("bending_stiffness", "bending_damping", "torsion_stiffness")
         return {name: BENT * rounded_up(values[name]) for name in names} | {"body_stiffness": rounded_up(values["body_stiffness"])}
 
-    def stiffened(self, system, values):
-        return replace(system, stiffness=system.stiffness * values["body_stiffness"])
-
     @cached_property
     def embedding(self):
         return embedded(self.strands, self.structure, self.marks)

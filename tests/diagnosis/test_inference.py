@@ -17,7 +17,7 @@ from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
 from twinbench.diagnosis.inference.phases import _best, _chances
 from twinbench.diagnosis.inference.refit import gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score
-from twinbench.diagnosis.inference.significance import predictive, significance, unexplained
+from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
@@ -400,11 +400,16 @@ def test_a_name_must_leave_as_little_as_sound_twins_do():
     members, motion, noise, none = random.normal(0, 1e-3, (12, SIZE)), np.full(SIZE, 0.01), 1e-8 * np.eye(SIZE), np.zeros((SIZE, 1))
     scatter, prior = Scatter(members, noise, none, layout()), Prior(8.0, 0.0, 0.0)
     draws = random.normal(0, 1e-3, (20, SIZE))
-    usual, thrice = (np.array([unexplained(scatter, prior, k * one, members, motion, None) for one in draws]) for k in (1, 3))
+
+    def left(scatter, members, residuals, controls=None):
+        test = SimpleNamespace(misfits=_misfits(scatter, prior, members[0], members)[1], controls=controls)
+        return np.array([unexplained(test, scatter.likelihood(prior), one, motion) for one in residuals])
+
+    usual, thrice = (left(scatter, members, k * draws) for k in (1, 3))
     assert np.median(usual) > 0.2 and (usual < 0.03).mean() <= 0.15 and thrice.max() < 0.01  # of 20, three by chance in one of 50 tests
     three = np.c_[random.normal(size=(40, 2)), np.log(0.1) + 0.3 * random.normal(size=40)]
     for share, enough in ((0.1, True), (0.5, False)):
         as_wide = 10 * share * members  # among which nothing stands out
-        wide, left = Scatter(as_wide, noise, none, layout()), 0.01 * share * draws / np.sqrt(np.mean(draws**2, axis=1, keepdims=True))
-        p = [[unexplained(wide, prior, one, as_wide, motion, Controls(three[:, :n])) for one in left] for n in (3, 2)]
+        wide, these = Scatter(as_wide, noise, none, layout()), 0.01 * share * draws / np.sqrt(np.mean(draws**2, axis=1, keepdims=True))
+        p = [left(wide, as_wide, these, Controls(three[:, :n])) for n in (3, 2)]
         assert (np.median(p[0]) > 0.03) == enough and np.median(p[1]) > 0.03
