@@ -99,7 +99,7 @@ def scored(answer: Answer, label: dict) -> dict:
     row = dict(
         effect=truth or "sound", verdict=answer.verdict, p=test.p, p_members=test.p_members, p_misfit=test.p_misfit, p_scan=test.p_scan
     )
-    row |= dict(zip(("far_misfit", "far_scan", "far_share"), test.standardised, strict=True)) | dict(
+    row |= dict(zip(("over_misfit", "over_scan", "left_share"), test.standardised, strict=True)) | dict(
         misfit=test.misfit, largest=test.largest
     )
     row |= dict(prior=json.dumps(asdict(answer.prior)), budget=json.dumps([asdict(b) for b in answer.budget]))

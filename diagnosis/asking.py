@@ -97,7 +97,7 @@ def asked(
         evidence = gathered(twin, everything, config, sound=sound, against=bool(against), seed=seed, progress=progress)
     answer = weighed(evidence, config, progress=progress)
     told = None
-    if answer.verdict == "named" and (fitted_on or against):
+    if answer.verdict == "named" and (fitted_on or against or answer.named[0].candidate.effect.seen):
         told = _refitted_twin(twin, evidence, answer.named[0])
     elif answer.verdict == "named":
         progress(f"fitting the twin with {answer.named[0].words}")
@@ -111,11 +111,15 @@ def _whole(recording: Scenario) -> Scenario:
 
 
 def _refitted_twin(twin: ContinuumTwin, evidence: Evidence, named: Named) -> ContinuumTwin:
-    """``twin`` at the numbers of the refit: a further fit would let the effect act where nothing is missing as well."""
+    """``twin`` at the numbers of the refit: a further fit would let the effect act where nothing is missing as well.
+
+    What was measured wrongly is mended in the twin's own recording alone.
+    """
     effect = named.candidate.effect
     values = own_values(evidence.forward.values(named.refit.shift), 0) | named.candidate.values(list(named.amounts.values()))
     extra = (*twin.extra, effect.term()) if effect.term else twin.extra
-    return replace(twin, values=twin.values | values, extra=extra)
+    scene = effect.seen(twin.scene, values) if effect.seen else twin.scene
+    return replace(twin, values=twin.values | values, extra=extra, scene=scene)
 
 
 def ask(
@@ -161,6 +165,6 @@ def _run(twin: ContinuumTwin | None, recording: Scenario, *, first: bool) -> np.
         return None
     there = twin if first else twin.retarget(recording.initial())
     try:
-        return np.asarray(there.rollout(recording.controllers).tracked, float)
+        return np.asarray(there.rollout(there.scene.controllers if first else recording.controllers).tracked, float)
     except Diverged:
         return np.full(recording.points.shape, np.nan)

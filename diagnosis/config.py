@@ -27,12 +27,16 @@ class DiagnosisConfig:
     broad       of the prior's standard deviation, by which members' parameters are spread around the fit: within it a Gauss-Newton step is
                 right to a few per cent, and beyond it the reference is run again in any case
     dearest     times the reference's steps that a member or a refit may take: what is eight times as stiff takes hundreds of seconds
+    floor       standard deviation of what each block mean is off by beside what members are [mm]: they differ in few things, and are too
+                much alike in what is fine. The truths of simulators move by 1 to 4 mm when their meshes are made finer. Between recordings
+                of one command, in which it is the same, it is nothing
     rounds      of absorption, each a step and a run of the reference for every member: after two, some of eight members of two blocks were
                 left with 2.4 mm, after four with 1.9, after eight with 1.7 (the largest)
     stiffest    of hands, contact: members' angular frequencies over the reference's, as far up and down (log-uniform)
     motion      prior standard deviation of an effect's motion [mm]: effects that matter move a body by a few mm to a few cm
     probe       motion by which a signature is measured [mm]: above rounding (0.01 mm) and within the effect's linear part
     refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members
+    astray      prior standard deviation of each coordinate of a place in such a refit [mm]: places that are tried lie some 5 cm apart
     steps       of such a refit, at most, of one to three runs each; it ends where fresh slopes lead nowhere, which take as many runs as it
                 has unknowns. Three steps left a wind of 15 mm, nine a hand that gives way (116 mm) far from where refits end; that one
                 takes twenty
@@ -57,11 +61,13 @@ class DiagnosisConfig:
     dropped: float = 0.5
     broad: float = 0.3
     dearest: float = 4.0
+    floor: float = 1.0
     rounds: int = 4
     stiffest: float = 1.5
     motion: float = 20.0
     probe: float = 1.0
     refitted: int = 4
+    astray: float = 25.0
     steps: int = 24
     runs: int = 120
     parallel: float = 0.95

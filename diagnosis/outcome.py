@@ -157,14 +157,15 @@ def _test(answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> dict:
 
 
 def _where(first: Named | None, structure) -> dict | None:
-    """Where on the body it is: the particles of frame 0 within its reach, at least the nearest."""
+    """Where on the body, or in the room, it is: the particles of frame 0 within its reach, at least the nearest."""
     if first is None or first.place is None:
         return None
     effect, fixed = first.candidate.effect, first.candidate.fixed
     far = np.linalg.norm(structure - np.array(first.place), axis=1)
     reach = float(fixed.get(effect.within, 0.0)) or float(far.min())
     points = np.flatnonzero(far <= max(reach, far.min()))
-    return {"points": points.tolist(), "centroid": structure[points].mean(0).tolist(), "radius": reach}
+    centroid = np.array(first.place) if effect.roaming else structure[points].mean(0)
+    return {"points": points.tolist(), "centroid": centroid.tolist(), "radius": reach}
 
 
 def _parameters(first: Named | None) -> dict:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 
+from ...methods.continuum.scene import Scene
 from ...physics.terms.base import Term
 
 __all__ = ["KINDS", "Amount", "Candidate", "Effect"]
@@ -42,7 +43,9 @@ class Effect:
     amounts  what is estimated; ``law`` turns their values into a simulator's where they are not the same
     shapes   values to try of further parameters
     place    prefix of parameters ``<place>_x, _y, _z`` [m] that say where on the body it is, "" for all of it; ``within``: how far
+    roaming  whether that place is one of the room, which the body passes
     anchored whether it also has a place in the room, ``<place>_anchor_x, _y, _z`` [m], tried where the body was in frame 0
+    seen     turns the scene that was measured into what it is by the amounts of a fault of the measurement
     grounded whether it needs a ground
     """
 
@@ -55,9 +58,11 @@ class Effect:
     shapes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     place: str = ""
     within: str = ""
+    roaming: bool = False
     anchored: bool = False
     grounded: bool = False
     law: Callable[[Mapping[str, float]], dict[str, float]] | None = None
+    seen: Callable[[Scene, Mapping[str, float]], Scene] | None = None
     motion: str = ""
 
     def __post_init__(self):
@@ -108,6 +113,18 @@ class Candidate:
         """(3,) m in frame 0, or None: all of the body."""
         prefix = self.effect.place
         return np.array([self.fixed[f"{prefix}_{axis}"] for axis in "xyz"]) if prefix else None
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of what says where it is, and where it is tied, x, y and z; empty where it is everywhere."""
+        if not self.effect.place:
+            return ()
+        parts = (self.effect.place, *([f"{self.effect.place}_anchor"] if self.effect.anchored else []))
+        return tuple(f"{part}_{axis}" for part in parts for axis in "xyz")
+
+    def shifted(self, by) -> Candidate:
+        """Elsewhere: ``by`` (k,) m of its coordinates."""
+        return replace(self, fixed={**self.fixed, **{n: self.fixed[n] + float(b) for n, b in zip(self.coordinates, by, strict=True)}})
 
     def values(self, sizes) -> dict[str, float]:
         """What a simulator is given where the amounts are ``sizes`` (m,)."""

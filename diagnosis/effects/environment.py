@@ -1,7 +1,7 @@
 """What acts on a body from outside: air, gravity, weights, cords, the ground."""
 
 from ...physics import terms
-from .effect import Effect
+from .effect import Amount, Effect
 
 __all__ = ["EFFECTS"]
 
@@ -13,5 +13,18 @@ EFFECTS = (
     Effect.of_term("environment", terms.GravityTilt, ALL),
     Effect.of_term("environment", terms.AddedMass, ALL, shapes={"added_mass_within": (0.03,)}),
     Effect.of_term("contact", terms.HiddenTether, ALL, shapes={"tether_within": (0.03,), "tether_length": (0.03,)}),
+    Effect.of_term("contact", terms.HiddenObstacle, ALL, shapes={"obstacle_radius": (0.04,)}, roaming=True),
+    Effect.of_term("contact", terms.GroundPose, ALL, grounded=True),
+    Effect(
+        "friction_law",
+        "contact",
+        "static friction on the ground exceeds kinetic friction",
+        None,
+        ALL,
+        (Amount("coulomb_rest_friction", 0.4, 0.0, 2.0, "-"),),
+        shapes={"coulomb_speed": (0.06,)},
+        grounded=True,
+        motion="dragging it over the table slowly, then faster",
+    ),
     Effect.of_term("contact", terms.GroundAdhesion, ALL, shapes={"adhesion_reach": (0.01,)}, grounded=True),
 )

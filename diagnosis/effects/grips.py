@@ -1,7 +1,6 @@
-"""Hands that give way, or that were recorded on another clock."""
+"""Hands that give way."""
 
 from ...methods.continuum.simulate import FIRM
-from ...physics import terms
 from .effect import Amount, Effect
 
 __all__ = ["EFFECTS"]
@@ -23,5 +22,4 @@ EFFECTS = (
         law=_yielding,
         motion="lifting, then shaking",
     ),
-    Effect.of_term("measurement", terms.ControllerDelay, ("solid", "rope", "sheet")),
 )

@@ -34,6 +34,7 @@ DECIDING = (
     "level",
     "motion",
     "refitted",
+    "astray",
     "steps",
     "runs",
     "parallel",
@@ -83,7 +84,7 @@ def _located(values, degrees: float) -> Tail:
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """standardised (n, 2 or 3): of n sound recordings the misfit and the largest score, in deviations of their members', and for kinds of
+    """standardised (n, 2 or 3): of n sound recordings the misfit and the largest score, as logarithms over their members', and for kinds of
     which it is known what is left of the motion (``significance``)."""
 
     standardised: np.ndarray
@@ -110,11 +111,11 @@ class Controls:
         return 1 - (1 - least) ** len(self.tails)
 
     def least(self, misfit: float, share: float) -> float:
-        """The smaller p of a misfit, in deviations of its members', and of a ``share`` of the motion (a logarithm), where that is known."""
+        """The smaller p of a misfit, as a logarithm over its members', and of a ``share`` of the motion, where that is known."""
         return min(self.tails[0].beyond(misfit), *(tail.beyond(share) for tail in self.tails[2:]), 1.0)
 
     def alarming(self, level: float) -> float:
-        """The largest score, in deviations of members', above which p is below ``level`` whatever the misfit."""
+        """The largest score, as a logarithm over members', above which p is below ``level`` whatever the misfit."""
         return self.tails[1].at(1 - (1 - level) ** (1 / len(self.tails)))
 
 
@@ -137,21 +138,21 @@ def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
     for path in tables:
         table = pd.read_csv(path)
         more = {name for kind in set(table.get("kind", ())) for name in _more(kind)}
-        missing = {"set", "case", "kind", "effect", "far_misfit", "far_scan", *more} - set(table)
+        missing = {"set", "case", "kind", "effect", "over_misfit", "over_scan", *more} - set(table)
         if missing:
             raise ValueError(f"{path}: a table of controls must have the columns {', '.join(sorted(missing))}")
         sound = table[table.effect == "sound"]
         if sound.empty:
             raise ValueError(f"{path}: a table of controls must have sound rows, got none in {len(table)}")
         for row in sound.itertuples():
-            values = [round(float(getattr(row, name)), 4) for name in ("far_misfit", "far_scan", *_more(row.kind))]
+            values = [round(float(getattr(row, name)), 4) for name in ("over_misfit", "over_scan", *_more(row.kind))]
             kinds.setdefault(row.kind, []).append({"set": row.set, "case": row.case, "standardised": values})
     return {"config": _shaping(config), "kinds": {kind: sorted(rows, key=lambda r: (r["set"], r["case"])) for kind, rows in kinds.items()}}
 
 
 def _more(kind: str) -> tuple[str, ...]:
     """Further statistics of a kind: what is left of the motion where it is a twin's, and not the tracks', as that of markers is."""
-    return ("far_share",) if kind.startswith(MARKED) else ()
+    return ("left_share",) if kind.startswith(MARKED) else ()
 
 
 def main(arguments=None) -> None:

@@ -10,7 +10,7 @@ prior's variance, so that being off their span proves nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -64,20 +64,23 @@ class Prior:
 @dataclass(frozen=True, eq=False)
 class Scatter:
     """Residuals ``left`` (K, B) m of members without noise, ``noise`` (B, B) m^2 of block means, ``slopes`` (B, n): what parameters within
-    their priors do, for one standard deviation each."""
+    their priors do, for one standard deviation each. ``floor`` [m]: standard deviation of a further error of each block mean by itself."""
 
     left: np.ndarray
     noise: np.ndarray
     slopes: np.ndarray
     layout: Layout
+    floor: float = 0.0
 
     def without(self, k: int) -> Scatter:
         """All members but one."""
-        return Scatter(np.delete(self.left, k, 0), self.noise, self.slopes, self.layout)
+        return replace(self, left=np.delete(self.left, k, 0))
 
     def only(self, rows) -> Scatter:
         """Some of the block means (B,)."""
-        return Scatter(self.left[:, rows], self.noise[np.ix_(rows, rows)], self.slopes[rows], self.layout[rows])
+        return replace(
+            self, left=self.left[:, rows], noise=self.noise[np.ix_(rows, rows)], slopes=self.slopes[rows], layout=self.layout[rows]
+        )
 
     def variances(self, smooth: np.ndarray) -> np.ndarray:
         """(B,) m^2: mean squares of members, averaged over neighbours by ``smooth`` (B, B), which a mean over K alone would not tell."""
@@ -87,7 +90,8 @@ class Scatter:
         """The same, for a ``kernel`` (B, B) of the prior's and one that averages variances (``smooth``)."""
         sd = np.sqrt(self.variances(smooth))
         weight = prior.strength / (prior.strength + len(self.left))
-        return weight * sd[:, None] * kernel * sd + (1 - weight) * self.left.T @ self.left / len(self.left)
+        own = np.diag(np.full(len(sd), self.floor**2))
+        return weight * sd[:, None] * kernel * sd + (1 - weight) * self.left.T @ self.left / len(self.left) + own
 
     def likelihood(self, prior: Prior, *, parameters: bool = True) -> Likelihood:
         """Of a further recording: noise, error of sound twins and ``parameters`` within their priors."""

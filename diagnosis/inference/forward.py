@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from ...datasets.scenario import Scenario
 from ...methods.continuum.config import Config
 from ...methods.continuum.estimate import own_values
 from ...methods.continuum.joint import placed
+from ...methods.continuum.scene import Scene
 from ...methods.continuum.simulate import Simulator
 from ...methods.continuum.twin import ContinuumTwin
 from ...methods.continuum.unknowns import Unknown
@@ -44,6 +46,7 @@ class Forward:
     simulators  R, ``blocks`` R, each of all frames of its recording
     sound       which of the R recordings are known to lack nothing: effects act in the others alone
     acting      names of the values of effects, which sound recordings are not given
+    seen        faults of the measurement, each (scene, values) -> the scene as it was
     contrast    how far recordings differ is asked, not what they are; or None
     """
 
@@ -56,6 +59,7 @@ class Forward:
     blocks: tuple[Blocks, ...]
     sound: frozenset[int] = frozenset()
     acting: frozenset[str] = frozenset()
+    seen: tuple[Callable[[Scene, Mapping[str, float]], Scene], ...] = ()
     contrast: Contrast | None = None
     cost: Cost = field(default_factory=Cost)
 
@@ -158,10 +162,19 @@ class Forward:
         for r, (runner, blocks) in enumerate(zip(self.simulators, self.blocks, strict=True)):
             hushed = self.acting if r in self.sound else ()
             values = [{name: v for name, v in row.items() if name not in hushed} for row in rows]
-            found.append(runner.run([own_values({**self.told, **row}, r) for row in values], len(blocks.points)))
+            found.append(self._ran(runner, [own_values({**self.told, **row}, r) for row in values], len(blocks.points)))
         self.cost.runs += len(rows) * len(self.simulators)
         self.cost.seconds += time.process_time() - begun
         return found
+
+    def _ran(self, runner: Simulator, values, frames: int) -> np.ndarray:
+        """(K, frames, M, 3) m, those of one scene together."""
+        scenes = [reduce(lambda scene, seen, row=row: seen(scene, row), self.seen, runner.scene) for row in values]
+        moved = [k for k, scene in enumerate(scenes) if scene is not runner.scene]
+        usual = [k for k in range(len(values)) if k not in moved]
+        parts = {k: replace(runner, scene=scenes[k]).run([values[k]], frames)[0] for k in moved}
+        parts |= dict(zip(usual, runner.run([values[k] for k in usual], frames), strict=True)) if usual else {}
+        return np.stack([parts[k] for k in range(len(values))])
 
     def steps(self, row: Mapping[str, float]) -> int:
         """The most steps a frame that any recording takes with a dict of values beside the twin's own."""
@@ -210,7 +223,8 @@ class Forward:
         for r in self.asked:
             one = made[r]
             made[r] = replace(one, extra=(*one.extra, *(_told(law, one.scene) for law in laws.values())))
-        return replace(self, simulators=tuple(made), acting=self.acting | acting)
+        seen = {c.effect.seen: None for c in candidates if c.effect.seen}
+        return replace(self, simulators=tuple(made), acting=self.acting | acting, seen=(*self.seen, *seen))
 
     def with_scenes(self, scenes, finer: int = 1) -> Forward:
         """Other scenes of the same recordings, in steps ``finer`` times as many."""

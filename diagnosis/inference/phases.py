@@ -138,7 +138,7 @@ def gathered(
     left, settled = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
     catalogue = signatures(forward, reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
-    scatter = Scatter(left[:-1], noise, slopes, layout)
+    scatter = Scatter(left[:-1], noise, slopes, layout, 0.0 if against else 1e-3 * config.floor)
     posterior = forward.posterior(slopes)
     return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, posterior, tuple(catalogue), kept, settled[:-1])
 
@@ -220,7 +220,7 @@ def _chances(test: Significance, catalogue, refits: Mapping[int, float]) -> dict
 
 
 def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances, left: float) -> Named:
-    candidate, layout = signature.candidate, e.scatter.layout
+    candidate, layout = refit.candidate or signature.candidate, e.scatter.layout
     away = np.flatnonzero(~layout.fitted)
     data = e.forward.data
     cells = np.unique(np.c_[layout.record, layout.place], axis=0, return_inverse=True)[1].ravel()

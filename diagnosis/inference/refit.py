@@ -1,4 +1,4 @@
-"""A candidate fitted in full: its amounts and all that a sound twin's fit may change, weighed by the error of sound twins."""
+"""A candidate fitted in full: its amounts, its place and all that a sound twin's fit may change, weighed by the error of sound twins."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..config import DiagnosisConfig
+from ..effects import Candidate
 from .amounts import Scale
 from .forward import Forward
 from .likelihood import Likelihood
@@ -18,6 +19,7 @@ __all__ = ["Gain", "Refit", "gained", "refitted"]
 
 TRIALS = (1.0, 0.4, 0.1)  # of a Gauss-Newton step, one after the other until one is better
 TRUSTED = 0.2  # of what slopes promised: a step that gains less says that they are those of elsewhere
+FARTHEST = 3.0  # prior standard deviations that a place may be astray
 DIFFERENCE = 0.05  # prior standard deviations
 ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
 
@@ -32,9 +34,11 @@ class Gain:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """shift (n,) of the unknowns in prior standard deviations; ``amounts`` (m,) of the effect with standard deviations ``sd`` (m,), in its
-    parameters' units; ``prediction`` (B,) m; ``log_evidence`` by Laplace's approximation."""
+    """``candidate`` where its place ended, or None; ``shift`` (n,) of the unknowns in prior standard deviations; ``amounts`` (m,) of the
+    effect with standard deviations ``sd`` (m,), in its parameters' units; ``prediction`` (B,) m; ``log_evidence`` by Laplace's
+    approximation."""
 
+    candidate: Candidate | None
     shift: np.ndarray
     amounts: np.ndarray
     sd: np.ndarray
@@ -44,7 +48,8 @@ class Refit:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """numbers (n + m,) in prior standard deviations, the prediction (B,) there, and the negative log posterior."""
+    """numbers (n + m + k,) in prior standard deviations, k of them coordinates of the effect's place; the prediction (B,) there, and the
+    negative log posterior."""
 
     numbers: np.ndarray
     prediction: np.ndarray
@@ -59,17 +64,21 @@ def refitted(
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
     a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
-    arrived where fresh slopes lead nowhere. What would take more than ``config.dearest`` times the steps is not run. Amounts have a prior
-    by the motion that they make (``amounts``).
+    arrived where fresh slopes lead nowhere. A place has a prior of ``config.astray`` around the one that was tried. What would take more
+    than ``config.dearest`` times the steps is not run. Amounts have a prior by the motion that they make (``amounts``).
     """
-    count = slopes.shape[1]
+    count, amounts = slopes.shape[1], len(signature.unit) if signature else 0
+    spots = len(signature.candidate.coordinates) if signature else 0
     twins = forward.with_effects([signature.candidate]) if signature else forward
     low, high = forward.bounds
 
     most = config.dearest * forward.steps(forward.values(np.zeros(count)))
 
-    def simulated(shifts, amounts):
-        more = [{} if signature is None else signature.candidate.values(a) for a in amounts]
+    def there(numbers) -> Candidate:
+        assert signature is not None  # only what has a signature has a place
+        return signature.candidate.shifted(1e-3 * config.astray * numbers[count + amounts :])
+
+    def simulated(shifts, more):
         rows = [{**forward.values(s), **one} for s, one in zip(shifts, more, strict=True)]
         kept = [k for k, row in enumerate(rows) if twins.steps(row) <= most]
         found = np.full((len(rows), len(data)), np.nan)  # what is too dear to run is as what diverged
@@ -78,12 +87,15 @@ def refitted(
         return found
 
     if signature is not None:
-        scale = Scale.of(signature, lambda a: simulated(np.zeros((len(a), count)), a), reference, config.motion)
-        low, high = np.r_[low, scale.low], np.r_[high, scale.high]
-        slopes = np.c_[slopes, signature.columns / signature.unit * scale.slope(np.zeros(len(scale.wide)))]
+        tried = signature.candidate
+        scale = Scale.of(signature, lambda a: simulated(np.zeros((len(a), count)), map(tried.values, a)), reference, config.motion)
+        low, high = np.r_[low, scale.low, np.full(spots, -FARTHEST)], np.r_[high, scale.high, np.full(spots, FARTHEST)]
+        own = signature.columns / signature.unit * scale.slope(np.zeros(amounts))
+        slopes = np.c_[slopes, own, np.zeros((len(slopes), spots))]
 
     def run(numbers):
-        return simulated(numbers[:, :count], [row[count:] if signature is None else scale.amounts(row[count:]) for row in numbers])
+        more = ({} if signature is None else there(row).values(scale.amounts(row[count : count + amounts])) for row in numbers)
+        return simulated(numbers[:, :count], more)
 
     def place(numbers, prediction):
         if not np.isfinite(prediction).all():
@@ -113,9 +125,9 @@ def refitted(
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
     if signature is None:
-        return Refit(at.numbers, np.zeros(0), np.zeros(0), at.prediction, float(evidence))
-    own, sd = at.numbers[count:], deviations[count:]
-    return Refit(at.numbers[:count], scale.amounts(own), sd * scale.slope(own), at.prediction, float(evidence))
+        return Refit(None, at.numbers, np.zeros(0), np.zeros(0), at.prediction, float(evidence))
+    own, sd = (one[count : count + amounts] for one in (at.numbers, deviations))
+    return Refit(there(at.numbers), at.numbers[:count], scale.amounts(own), sd * scale.slope(own), at.prediction, float(evidence))
 
 
 def _slopes(run, at: _Place, jacobian, low, high):
@@ -134,7 +146,7 @@ def _one_sided(signature, amounts, deviations) -> float:
 
     if signature is None:
         return 0.0
-    parts = zip(signature.candidate.effect.amounts, np.abs(amounts / deviations), strict=True)
+    parts = zip(signature.candidate.effect.amounts, np.abs(amounts / deviations), strict=False)  # places come after them
     return float(sum(np.log(2) + log_ndtr(far) for a, far in parts if a.one_sided))
 
 

@@ -17,7 +17,10 @@ __all__ = ["Score", "Signature", "motion_of", "score", "scores", "signatures"]
 CELLS_IN_ONE = ("body", "velocity", "setup", "")  # stages whose laws cost little where they are at 0, asked in one system
 LEAST, MOST = 0.2, 5.0  # times the probing motion: outside of it a signature is measured again
 ALIKE = 0.01  # m, between the middles of a body in frame 0 of two recordings that begin alike
-SMALLEST = 1e-3  # mm: what moves less at its largest amount is not in this recording
+PLACES = 16  # of the room, at most: as many runs
+EVERY = 4  # frames
+CLEAR, PASSED, APART = 0.047, 0.04, 0.03  # m: from the body in frame 0, from the way of hands, and between two places: an obstacle's radius
+SMALLEST = 1e-3  # mm: what moves fitted frames less at its largest amount is not in this recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,8 @@ def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Sig
     kind, asked_of = forward.simulators[0].scene.body.kind, forward.asked
     grounded = all(forward.simulators[r].scene.ground is not None for r in asked_of)
     places = forward.blocks[asked_of[0]].regions
+    fitted = forward.layout.fitted
+    passed = _passed(forward, asked_of[0])
     alike = all(np.linalg.norm(forward.blocks[r].regions.mean(0) - places.mean(0)) < ALIKE for r in asked_of)
     asked = [e for e in effects(kind) if (grounded or not e.grounded) and (alike or not e.place)]
     groups: dict[str, list] = {}
@@ -65,14 +70,33 @@ def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Sig
         groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
     found = []
     for group in groups.values():
-        plan = [(c, j) for e in group for c in e.candidates(places) for j in range(len(e.amounts))]
+        plan = [(c, j) for e in group for c in e.candidates(passed if e.roaming else places) for j in range(len(e.amounts))]
         columns = _measured(forward.with_effects(c for c, _ in plan), reference, plan, config)
         for candidate in dict.fromkeys(id(c) for c, _ in plan):
             own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
-            moved = [k for k in own if np.isfinite(columns[k]).all() and motion_of(columns[k]) * abs(_most(plan[k])) > SMALLEST]
+            moved = [k for k in own if np.isfinite(columns[k]).all() and motion_of(columns[k][fitted]) * abs(_most(plan[k])) > SMALLEST]
             if moved:
                 found.append(_scaled(_of_amounts(plan[own[0]][0], [plan[k][1] for k in moved]), columns[moved], config))
     return found
+
+
+def _passed(forward: Forward, record: int) -> np.ndarray:
+    """(P, 3) m, at most ``PLACES`` places of the room that the sound twin passes and where the body is not in frame 0, nor hands ever."""
+    if forward.contrast is not None:
+        return np.zeros((0, 3))
+    from scipy.spatial import cKDTree
+
+    scene = forward.simulators[record].scene
+    path = forward.paths([forward.values(np.zeros(len(forward.unknowns)))])[record][0][::EVERY].reshape(-1, 3)
+    free = path[cKDTree(scene.structure).query(path)[0] > CLEAR]
+    if scene.hands and len(free):
+        free = free[cKDTree(np.concatenate([hand.centre for hand in scene.hands])).query(free)[0] > PASSED]
+    chosen: list[int] = []
+    far = np.full(len(free), np.inf)
+    while len(chosen) < PLACES and far.max(initial=0.0) > APART:  # the farthest from those that are chosen
+        chosen.append(int(far.argmax()))
+        far = np.minimum(far, np.linalg.norm(free - free[chosen[-1]], axis=1))
+    return free[chosen]
 
 
 def _of_amounts(candidate: Candidate, kept: list[int]) -> Candidate:

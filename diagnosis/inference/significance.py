@@ -3,8 +3,9 @@
 K members alone cannot resolve 5 % by their ranks. Logarithms of both statistics are nearly normal over members, so that one more sound
 recording's lies where a Student t with K - 1 degrees of freedom says, around their mean with their deviation times sqrt(1 + 1 / K): the
 prediction interval of a normal sample. That the best of the whole catalogue was taken is in the null, since members take their best.
-Where there are frozen sound recordings of the kind, they say how such deviations are distributed (``controls``), and may say how much of
-its motion a sound body's twin leaves: where a hand is kept back a twin is fitted to nonsense, among whose members anything is usual.
+Where there are frozen sound recordings of the kind, they say how such logarithms are distributed (``controls``): over all of them, since
+the deviation of a dozen members is itself known to a fifth only. They may also say how much of its motion a sound body's twin
+leaves: where a hand is kept back a twin is fitted to nonsense, among whose members anything is usual.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Significance:
 
     p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
-    standardised  what is pooled over controls: the recordings' two statistics in deviations of the members', and the logarithm of the
+    standardised  what is pooled over controls: logarithms of the recordings' two statistics over the members' geometric means, and of the
                   residual over the motion, both RMS
     """
 
@@ -51,18 +52,20 @@ class Significance:
 
         logs = np.log(np.maximum(self.largests, 1e-12))
         count = len(logs)
-        far = self.controls.alarming(level) if self.controls else float(t.isf(1 - np.sqrt(1 - level), count - 1))
+        if self.controls:
+            return float(np.exp(logs.mean() + self.controls.alarming(level)))
+        far = float(t.isf(1 - np.sqrt(1 - level), count - 1))
         return float(np.exp(logs.mean() + far * logs.std(ddof=1) * np.sqrt(1 + 1 / count)))
 
 
 def predictive(value: float, sample) -> tuple[float, float]:
-    """(p that one more of ``sample`` (K,) > 0 is as large as ``value``, ``value`` in deviations of the prediction), on a log scale."""
+    """(p that one more of ``sample`` (K,) > 0 is as large as ``value``, logarithm of ``value`` over the sample's geometric mean)."""
     from scipy.stats import t
 
     logs = np.log(np.maximum(sample, 1e-12))
     count = len(logs)
-    far = (np.log(max(value, 1e-12)) - logs.mean()) / max(float(logs.std(ddof=1)) * np.sqrt(1 + 1 / count), 1e-12)
-    return float(t.sf(far, count - 1)), float(far)
+    ratio = float(np.log(max(value, 1e-12)) - logs.mean())
+    return float(t.sf(ratio / max(float(logs.std(ddof=1)) * np.sqrt(1 + 1 / count), 1e-12), count - 1)), ratio
 
 
 def fitted_rows(signature: Signature, rows) -> Signature:
@@ -96,9 +99,9 @@ def significance(
     misfit, misfits = _misfits(scatter, prior, residual, noisy)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
     largest = _largest(found)
-    (p_misfit, far_misfit), (p_scan, far_scan) = predictive(misfit, misfits), predictive(largest, largests)
+    (p_misfit, over_misfit), (p_scan, over_scan) = predictive(misfit, misfits), predictive(largest, largests)
     p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
-    standardised = far_misfit, far_scan, left_of(residual, np.asarray(motion)[rows])
+    standardised = over_misfit, over_scan, left_of(residual, np.asarray(motion)[rows])
     p = controls.p(standardised) if controls else p_members
     return Significance(
         p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls
@@ -110,8 +113,8 @@ def unexplained(test: Significance, likelihood: Likelihood, residual, motion) ->
     much of their ``motion`` (B,) m it is where controls know that. The smaller of both, without a price: either alone says that something
     is left. ``likelihood`` of these block means by sound twins, as ``test``'s.
     """
-    p, far = predictive(likelihood.misfit(residual) / len(residual), test.misfits)
-    return test.controls.least(far, left_of(residual, motion)) if test.controls else p
+    p, over = predictive(likelihood.misfit(residual) / len(residual), test.misfits)
+    return test.controls.least(over, left_of(residual, motion)) if test.controls else p
 
 
 def left_of(residual, motion) -> float:

@@ -10,18 +10,26 @@ __all__ = ["axis_of", "resampled"]
 
 ROUNDS = 4  # of curve and projection (Hastie and Stuetzle 1989)
 SMOOTH = 1.5  # widths of the rope, over which its points are averaged: shorter ones follow the noise, longer ones cut bends
+FEWEST = 6  # points of which a line can be told
+FOLDED = 1.3  # times the way through a rope's points from neighbour to neighbour, which is never shorter than its axis: by then it is none
 ENDS = 0.005  # share of the points that may stick out beyond an end
 SKIN = 0.8  # quantile of the points' distances from the axis that is the radius: some are inside, and noise throws others out
 
 
 def axis_of(points, spacing: float, width: float) -> tuple[np.ndarray, float]:
-    """((K, 3) m, places along the middle of a rope's ``points`` (M, 3), ``spacing`` apart and about ``width`` across; radius [m])."""
+    """((K, 3) m, places along the middle of a rope's ``points`` (M, 3), ``spacing`` apart and about ``width`` across; radius [m]).
+
+    Raises ValueError where the points follow no single line: the curve through them then goes to and fro.
+    """
     points = np.asarray(points, float)
     along = farthest_ways(points)
+    length = float(np.ptp(along))
     step = max(width, 2 * spacing)
     for _ in range(ROUNDS):
         curve = _through(points, along, step)
         along, apart = _projected(points, curve)
+    if np.ptp(along) > FOLDED * length:
+        raise ValueError(f"a rope's points must follow one line, got one of {np.ptp(along):.2f} m through points {length:.2f} m long")
     low, high = np.quantile(along, [ENDS, 1 - ENDS])
     return resampled(curve, max(2, round((high - low) / (0.5 * step)) + 1), low, high), float(np.quantile(apart, SKIN))
 
@@ -41,7 +49,8 @@ def _through(points, along, step):
     """(K, 3) m: averages of ``points`` whose place ``along`` [m] is near, half a ``step`` apart, without the drift of averages at ends."""
     at = np.linspace(along.min(), along.max(), max(3, round(np.ptp(along) / (0.5 * step)) + 1))
     off = along - at[:, None]
-    weight = np.exp(-0.5 * (off / (SMOOTH * step / 2)) ** 2)
+    far = np.sort(np.abs(off), axis=1)[:, min(FEWEST, len(points)) - 1 :][:, :1]  # where points are missing, over as many of the next
+    weight = np.exp(-0.5 * (off / np.maximum(SMOOTH * step / 2, far)) ** 2)
     found = np.empty((len(at), 3))
     for k, (w, x) in enumerate(zip(weight, off, strict=True)):  # a line through what is near, at its place
         basis = np.stack([np.ones_like(x), x], 1)

@@ -21,6 +21,8 @@ class Config:
     starts      of the search, spread over the priors
     iterations  of the search, at most, which is made in larger cells (None: as many as suit the kind of body), and of the ``refinement`` in
                 those of ``pitch``
+    dearest     times the steps of the dearest start that a run of the search may take: a rope that is known exactly asked for 13,000 a
+                frame, twenty times as many, for a bending damping that nothing else told
     coarse      how many times as large cells are in the search; None: as suits the kind
     recordings  that are fitted jointly, at most; None: as many as suit the kind of body
     more        times as many recordings as suit the kind of body, where ``recordings`` does not say
@@ -38,6 +40,7 @@ class Config:
     starts: int = 3
     iterations: int | None = None
     refinement: int = 4
+    dearest: float = 8.0
     coarse: float | None = None
     recordings: int | None = None
     more: float = 1.0

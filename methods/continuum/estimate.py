@@ -113,6 +113,7 @@ def estimate(
     else:
         starts = _timed(kind.starts(bodies, recordings, task.unknowns, config), task.unknowns)
         starts = _scouted(coarse, starts, rough, config.starts)
+    coarse = coarse.within(starts, config.dearest)
     search = Steps(iterations=kind.iterations if config.iterations is None else config.iterations)
     found = fit(
         task.unknowns,
@@ -131,6 +132,7 @@ def estimate(
     for _ in range(max(1, solved) if config.refinement else 0):
         task = task.unloaded(recordings, found.values) if solved else task
         at = np.array([[found.values[u.name] for u in task.unknowns]])
+        task = task.within(at, config.dearest)
         tell = told("refinement", 0.6, 0.4, config.refinement)
         found = fit(
             task.unknowns, task.simulate, task.data, heard, starts=at, steps=Steps(iterations=config.refinement), progress=tell, **options
@@ -142,18 +144,26 @@ def estimate(
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Unknowns, what they predict and what was measured, of one or several recordings, side by side (R,)."""
+    """Unknowns, what they predict and what was measured, of one or several recordings, side by side (R,).
+
+    most  steps a frame that are run: what would take more counts as diverged
+    """
 
     unknowns: tuple[Unknown, ...]
     simulators: tuple[Simulator, ...]
     sights: tuple[Sight | CloudSight, ...]
     fixed: dict[str, float]
+    most: float = np.inf
 
     @classmethod
     def of(cls, recordings, scenes, config, extra, extra_unknowns, fixed, device) -> Task:
         unknowns = tuple(u for u in [*unknowns_of(scenes, config), *extra_unknowns] if u.name not in fixed)
         simulators = tuple(Simulator(scene, extra, device) for scene in scenes)
         return cls(unknowns, simulators, tuple(sight_of(one, config.frames) for one in recordings), fixed)
+
+    def within(self, starts, dearest: float) -> Task:
+        """The same where no run takes more than ``dearest`` times the steps of the dearest of ``starts`` (K, n)."""
+        return replace(self, most=dearest * max(self._steps(self._named(row)) for row in starts))
 
     def coarser(self, recordings, times: float) -> Task:
         """The same in cells ``times`` as large."""
@@ -195,8 +205,20 @@ class Task:
         return np.concatenate(found, 1)
 
     def simulate(self, values) -> np.ndarray:
-        """(B, R) m, of values (B, n) of the unknowns."""
-        return self.predict([dict(zip([u.name for u in self.unknowns], row, strict=True)) for row in values])
+        """(B, R) m, of values (B, n) of the unknowns; NaN of what takes more steps than ``most``."""
+        rows = [self._named(row) for row in values]
+        kept = [k for k, row in enumerate(rows) if self._steps(row) <= self.most]
+        found = np.full((len(rows), len(self.data)), np.nan)
+        if kept:
+            found[kept] = self.predict([rows[k] for k in kept])
+        return found
+
+    def _named(self, row) -> dict[str, float]:
+        return dict(zip([u.name for u in self.unknowns], row, strict=True))
+
+    def _steps(self, row) -> int:
+        """The most steps a frame that any recording takes."""
+        return max(int(np.prod(s.steps(own_values(self.fixed | row, r)))) for r, s in enumerate(self.simulators))
 
 
 def _spread(found, task, coarse, count, seed):

@@ -184,6 +184,23 @@ class Scene:
         controllers = self.controllers if controllers is None else controllers
         return np.concatenate([controllers[:, self.driven >= 0], self.carried(hands)[-len(controllers) :]], 1)
 
+    def seen_from(self, turn, shift) -> Scene:
+        """The scene in the frame of its points, where these were reported turned by ``turn`` (3,) [rad, a rotation vector] about the body's
+        middle in frame 0, and ``shift`` (3,) [m] away: hands, gravity and ground, which were reported rightly, lie so beside them."""
+        from scipy.spatial.transform import Rotation
+
+        rotation, middle = Rotation.from_rotvec(turn).as_matrix(), self.structure.mean(0)
+
+        def moved(points):
+            return (points - middle) @ rotation.T + middle + shift
+
+        hands = tuple(replace(h, centre=moved(h.centre), rotation=rotation @ h.rotation @ rotation.T) for h in self.hands)
+        ground = self.ground
+        if ground is not None:
+            normal = rotation @ ground.normal
+            ground = _below(Plane(normal, float(normal @ moved(ground.offset * ground.normal)) - self.body.standoff), self.body)
+        return replace(self, hands=hands, controllers=moved(self.controllers), gravity=rotation @ self.gravity, ground=ground)
+
     def carried(self, hands) -> np.ndarray:
         """(T, n + f, 3) m, where ``hands`` carry the points of the grasp and the nodes that are fastened."""
         nodes, owner = self.fastened

@@ -28,11 +28,18 @@ def capped(pull: Any, most: Any):
 
 
 @wp.func
+def grip(slip: Any, p: Any, o: int):
+    """The coefficient of friction at a velocity along the plane."""
+    share = wp.length(slip) / p[o + 8]
+    return p[o] + p[o + 7] * wp.exp(-share * share)
+
+
+@wp.func
 def hold_up(x: Any, v: Any, m: Any, q: Any, p: Any, o: int):
     n, push = pressed(x, v, m, p, o)
     slip = v - n * wp.dot(n, v)
     pull = (q * p[o + 1] + slip * (type(m)(2.0) * p[o + 2])) * (-m * p[o + 1])
-    return n * push + capped(pull, p[o] * push)
+    return n * push + capped(pull, grip(slip, p, o) * push)
 
 
 @wp.func
@@ -40,7 +47,8 @@ def stretch(x: Any, v: Any, m: Any, q: Any, dt: Any, p: Any, o: int):
     n, push = pressed(x, v, m, p, o)
     after = q + v * dt
     after = after - n * wp.dot(n, after)
-    return capped(after, p[o] * push / (m * p[o + 1] * p[o + 1]))
+    slip = v - n * wp.dot(n, v)
+    return capped(after, grip(slip, p, o) * push / (m * p[o + 1] * p[o + 1]))
 
 
 class CoulombGround(TouchTerm):
@@ -48,7 +56,7 @@ class CoulombGround(TouchTerm):
 
     q grows with the tangential motion and is never longer than mu N / (m w^2), so that a point sticks where it lies, without creep, until
     friction is overcome, and a point that leaves the plane forgets. d at rest is about g / w^2 times the body's mass over what its
-    touching points carry. The plane is n . x = offset.
+    touching points carry. The plane is n . x = offset. Friction may be higher at rest: mu + a exp(-(v_t / v_s)^2) (Stribeck).
     Bristles: Haessig and Friedland, "On the modeling and simulation of friction", 1991.
     """
 
@@ -61,6 +69,8 @@ class CoulombGround(TouchTerm):
         Parameter("coulomb_normal_y", 0.0, -1.0, 1.0, "-", "the plane's normal, y"),
         Parameter("coulomb_normal_z", -1.0, -1.0, 1.0, "-", "the plane's normal, z"),
         Parameter("coulomb_offset", 0.0, -10.0, 10.0, "m", "distance of the plane from the origin along its normal"),
+        Parameter("coulomb_rest_friction", 0.0, 0.0, 2.0, "-", "a, by how much friction is higher at rest"),
+        Parameter("coulomb_speed", 0.05, 1e-3, 2.0, "m/s", "v_s, over which it falls to that of sliding", "log"),
     )
     law = hold_up
     evolve = stretch
@@ -83,10 +93,11 @@ class CoulombGround(TouchTerm):
         return shortened(after - n * (n @ after), friction * push / (m * rate**2))
 
 
-def push_of(x, v, m, friction, rate, damping, *plane):
+def push_of(x, v, m, friction, rate, damping, normal_x, normal_y, normal_z, offset, rest_friction, speed):
     """(friction, rate, damping, normal, pressure [N]) in numpy."""
-    n = np.array(plane[:3])
-    deep = plane[3] - n @ x
+    n = np.array([normal_x, normal_y, normal_z])
+    deep, slip = offset - n @ x, v - n * (n @ v)
+    friction = friction + rest_friction * np.exp(-(slip @ slip) / speed**2)
     return friction, rate, damping, n, max(0.0, m * rate * (rate * deep - 2 * damping * (n @ v))) if deep > 0 else 0.0
 
 

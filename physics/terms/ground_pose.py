@@ -34,7 +34,7 @@ class GroundPose(SetupTerm):
     @staticmethod
     def prepare(batch, inputs, values):
         """Inputs whose ``table`` (B, columns) has the planes moved."""
-        planes = [kind for kind in ("ground", "adhesion") if f"{kind}_offset" in batch.columns] or ["ground"]
+        planes = [kind for kind in ("ground", "coulomb", "adhesion") if f"{kind}_offset" in batch.columns] or ["ground"]
         middle, table = shape_of(batch).middle, inputs.table.clone()
         for kind in planes:
             normal = [batch.column(f"{kind}_normal_{axis}") for axis in "xyz"]

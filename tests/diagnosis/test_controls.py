@@ -49,10 +49,10 @@ def test_the_alarming_score_is_where_p_crosses_the_level(count):
 def table(tmp_path, count, **more):
     random = np.random.default_rng(1)
     rows = [
-        dict(set="s", case=f"case_{k:03d}", kind="rope", effect="sound", far_misfit=f, far_scan=s)
+        dict(set="s", case=f"case_{k:03d}", kind="rope", effect="sound", over_misfit=f, over_scan=s)
         for k, (f, s) in enumerate(random.normal(size=(count, 2)))
     ]
-    rows.append(rows[0] | dict(case="case_999", effect="wind", far_misfit=50.0))
+    rows.append(rows[0] | dict(case="case_999", effect="wind", over_misfit=50.0))
     path = tmp_path / "table.csv"
     pd.DataFrame([row | more for row in rows]).to_csv(path, index=False)
     return path
@@ -84,9 +84,9 @@ def test_what_a_twin_leaves_of_the_motion_counts_where_it_was_frozen(tmp_path):
     assert Controls(three[:, :2]).p((0.0, 0.0, 0.0)) > 0.2  # of kinds without it the third is not looked at
     marked = pd.read_csv(table(tmp_path, 40, kind="marked rope"))
     marked.to_csv(tmp_path / "short.csv", index=False)
-    with pytest.raises(ValueError, match="far_share"):
+    with pytest.raises(ValueError, match="left_share"):
         frozen([tmp_path / "short.csv"], DiagnosisConfig())
-    marked.assign(far_share=-2.5).to_csv(tmp_path / "whole.csv", index=False)
+    marked.assign(left_share=-2.5).to_csv(tmp_path / "whole.csv", index=False)
     rows = frozen([tmp_path / "whole.csv"], DiagnosisConfig())["kinds"]["marked rope"]
     assert len(rows) == 40 and all(row["standardised"][2] == -2.5 for row in rows)
 

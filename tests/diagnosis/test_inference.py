@@ -288,6 +288,41 @@ def test_a_refit_goes_no_farther_than_steps_are_affordable():
     )  # amounts are scaled by ten runs, and a step that has begun is ended: three trials, four slopes
 
 
+class Placed(Bent):
+    """Twins whose one effect acts around a place: its share of the column falls with the square of the distance from it over 0.1 m."""
+
+    true = np.array([0.03, -0.02, 0.0])
+
+    def rows(self, rows):
+        self.cost.runs += len(rows)
+        shifts = np.array([[r[u.name] for u in self.unknowns] for r in rows])
+        found = self.world.run(shifts)
+        for k, row in enumerate(rows):
+            off = np.array([row.get(f"spot_{axis}", 0.0) for axis in "xyz"]) - self.true
+            weight = np.exp(-np.square(off[:, None] - 0.05 * self.ways).sum(0) / (2 * 0.1**2))
+            found[k] += row.get("push", 0.0) * weight * self.column
+        return found
+
+
+def test_a_refit_finds_the_place_of_an_effect_beside_the_one_that_was_tried():
+    # the place that was tried is 36 mm off; what acts there and what the place is are parted by a part of the body that each moves most
+    world = World(12)
+    placed = replace(effect(), place="spot")
+    origin = {f"spot_{axis}": 0.0 for axis in "xyz"}
+    one = replace(world.catalogue[0], candidate=Candidate(placed, origin))
+    twins = Placed(world, one.columns[:, 0])
+    twins.ways = np.random.default_rng(5).normal(size=(3, SIZE))
+    scatter, _, _ = world.evidence(world.reference)
+    truth = {f"spot_{axis}": c for axis, c in zip("xyz", Placed.true, strict=True)}
+    data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0, push=25.0, **truth)])[0]
+    fitting = scatter.likelihood(PRIOR, parameters=False)
+    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one)
+    found, stuck = refitted(*given, DiagnosisConfig()), refitted(*given, DiagnosisConfig(astray=1e-6))
+    assert np.linalg.norm(found.candidate.place - Placed.true) < 0.012 < np.linalg.norm(stuck.candidate.place - Placed.true)
+    assert found.log_evidence > stuck.log_evidence + 3
+    assert found.amounts.shape == found.sd.shape == (1,)
+
+
 def test_amounts_have_a_prior_by_what_they_do():
     # motion of 20 mm sqrt(amount): a deviation of 20 mm is an amount of 1, two are 4, and a twentieth of one is 1 / 400
     world = World(11)

@@ -16,6 +16,7 @@ from twinbench.physics.terms import (
     AirDrag,
     CoulombGround,
     Gravity,
+    GroundPose,
     KelvinVoigt,
     LinearDrag,
     NeoHookean,
@@ -232,3 +233,30 @@ def test_drag_by_the_particle_counts_points_like_particles():
     count = len(one.points.home)
     slowed = (path[1] - path[0]) - (path[2] - path[1])
     assert slowed == pytest.approx(1e-4 * count / MASS / 600**2, rel=0.02)
+
+
+@pytest.mark.parametrize(("angle", "stays"), [(20.0, True), (28.0, False)])
+def test_friction_is_higher_at_rest_where_it_is_said_to_be(angle, stays):
+    # mu 0.2 + 0.25 at rest: tan 20 = 0.36 < 0.45 holds, though 0.36 > 0.2; tan 28 = 0.53 slides, and once it is ten times as fast as the
+    # speed over which friction falls, by mu = 0.2 alone: g (sin - mu cos)
+    lean = np.deg2rad(angle)
+    gravity = dict(zip(("gravity_x", "gravity_y", "gravity_z"), 9.8 * np.array([np.sin(lean), 0, -np.cos(lean)]), strict=True))
+    values = {"coulomb_friction": 0.2, "coulomb_rest_friction": 0.25, "coulomb_speed": 0.05, "coulomb_normal_z": 1.0, "coulomb_offset": 0.0}
+    one = block(Gravity(gravity), CoulombGround(values), KelvinVoigt({"viscosity": 200.0}))
+    path = middle(one, Batch([one], fps=60, double=True).rollout(121).positions[0])
+    if stays:
+        assert np.abs(path[60:, 0] - path[60, 0]).max() < 2e-5
+    else:
+        t = np.arange(121) / 60
+        found = np.polyfit(t[60:], path[60:, 0], 2)[0] * 2
+        assert found == pytest.approx(9.8 * (np.sin(lean) - 0.2 * np.cos(lean)), rel=0.02)
+
+
+def test_a_ground_lies_elsewhere_for_what_sticks_to_it_too():
+    # raised by 5 mm the plane lifts a body that lies on it by as much
+    ground = CoulombGround({"coulomb_normal_z": 1.0, "coulomb_offset": 0.0})
+    paths = []
+    for height in (0.0, 0.005):
+        one = block(Gravity({"gravity_z": -9.8}), ground, KelvinVoigt({"viscosity": 200.0}), GroundPose({"ground_raise": height}))
+        paths.append(middle(one, Batch([one], fps=60, double=True).rollout(91).positions[0]))
+    assert paths[1][-1, 2] - paths[0][-1, 2] == pytest.approx(0.005, abs=5e-5)
