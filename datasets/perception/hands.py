@@ -13,7 +13,11 @@ __all__ = ["Hands", "find_hands", "rigid"]
 COUNT = 30  # controllers of a published case
 REACH = 0.08  # m: what is farther from the body holds nothing
 GAP = 0.03  # m between two hands
-TRUSTED = 0.004  # m: tracks that miss a rigid motion by less say more of it than a cloud, which slides along flat and round parts
+NEAR = (0.01, 0.005)  # m between points of two clouds that are matched, at first and in the end
+ROUNDS = 15  # of matching, each
+SEEN = 0.4  # share of a hand's first cloud that must be matched
+NOISE, INDEPENDENT = 0.002, 1000  # m across the surface, of so many points of a cloud: neighbours share the noise of depth
+LEAST, GUESSED = 5e-4, 0.01  # m: what a hand may be off by that rigid tracks tell, at least, and one that went on at its speed
 
 
 @dataclass(frozen=True)
@@ -27,8 +31,9 @@ class Hands:
 def find_hands(points: np.ndarray, known: np.ndarray, clouds: list[np.ndarray], body: np.ndarray, *, count: int = COUNT) -> Hands:
     """``count`` controllers, farthest points of what is seen of hands near the ``body`` (M, 3) in frame 0.
 
-    points (T, P, 3), known (T, P): tracks on hands. clouds: of each frame, (K, 3) points of hands. Each hand moves rigidly: by its tracks,
-    or, where those miss it, by its cloud (ICP), frame after frame; a hand that is not seen goes on at its speed.
+    points (T, P, 3), known (T, P): tracks on hands. clouds: of each frame, (K, 3) points of hands. Each hand moves rigidly, to where its
+    cloud and its tracks are likeliest: tracks slide over skin, together, by degrees, a cloud along what is flat or round. A hand that is
+    not seen goes on at its speed.
     Raises ValueError where no hand is near the body in frame 0.
     """
     o3d = needs_open3d.imported("finding hands and surfaces")
@@ -63,11 +68,11 @@ def _follow(points, known, first, clouds):
     poses, residual = np.repeat(np.eye(4)[None], len(points), 0), np.zeros(len(points))
     for t in range(1, len(points)):
         guess = poses[t - 1] @ np.linalg.inv(poses[t - 2]) @ poses[t - 1] if t > 1 else poses[0]
-        both = known[t]
-        left = np.nan
+        both, left, off = known[t], np.nan, GUESSED
         if both.sum() >= 6:
             guess, left = rigid(points[0, both], points[t, both])
-        poses[t], residual[t] = guess if left < TRUSTED else _icp(first, clouds[t], guess), left
+            off = max(left, LEAST)
+        poses[t], residual[t] = _matched(first, clouds[t], guess, off), left
     return poses, residual
 
 
@@ -86,18 +91,41 @@ def rigid(start: np.ndarray, end: np.ndarray, rounds: int = 5) -> tuple[np.ndarr
     return pose, float(np.median(miss))
 
 
-def _icp(first, then, guess):
-    """``guess`` refined so that the cloud of frame 0 lies on that of this frame; left as it is where little of it is seen."""
+def _matched(first, then, guess, off: float):
+    """The likeliest pose where the cloud of frame 0 lies on that of this frame and a ``guess`` is ``off`` [m]; the guess where little of
+    the hand is seen. Points lie on planes of their neighbours (Chen and Medioni 1992)."""
     o3d = needs_open3d.imported("finding hands and surfaces")
+    from scipy.spatial import cKDTree
+    from scipy.spatial.transform import Rotation
 
     if len(then) < 50 or len(first) < 50:
         return guess
-    source, target = (o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud)) for cloud in (first, then))
+    target = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(then))
     target.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=0.012, max_nn=30))
-    method = o3d.pipelines.registration.TransformationEstimationPointToPlane()
-    found = o3d.pipelines.registration.registration_icp(source, target, 0.01, guess, method)
-    shift = np.linalg.norm(found.transformation[:3, 3] + (found.transformation[:3, :3] - guess[:3, :3]) @ first.mean(0) - guess[:3, 3])
-    return found.transformation if found.fitness > 0.4 and shift < 0.01 else guess
+    normals, tree, middle = np.asarray(target.normals), cKDTree(then), first.mean(0)
+    size = np.sqrt(((first - middle) ** 2).sum(1).mean())
+    precision = np.repeat([(size / off) ** 2, off**-2], 3)  # of turns about the middle, and of the middle
+    expected = guess[:3, :3] @ middle + guess[:3, 3]
+    turn, at = guess[:3, :3], expected
+    for far in NEAR:
+        for _ in range(ROUNDS):
+            moved = (first - middle) @ turn.T + at
+            distance, which = tree.query(moved, distance_upper_bound=far)
+            near = np.isfinite(distance)
+            if near.mean() < SEEN:
+                return guess
+            across, arm = normals[which[near]], moved[near] - at
+            apart = ((moved[near] - then[which[near]]) * across).sum(1)
+            ways = np.c_[np.cross(arm, across), across]
+            weight = min(1.0, INDEPENDENT / near.sum()) / NOISE**2
+            back = np.r_[Rotation.from_matrix(guess[:3, :3] @ turn.T).as_rotvec(), expected - at]
+            step = np.linalg.solve(weight * ways.T @ ways + np.diag(precision), precision * back - weight * ways.T @ apart)
+            turn, at = Rotation.from_rotvec(step[:3]).as_matrix() @ turn, at + step[3:]
+            if np.linalg.norm(step[:3]) < 2e-5 and np.linalg.norm(step[3:]) < 1e-6:
+                break
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, at - turn @ middle
+    return pose
 
 
 def _farthest(points, count):

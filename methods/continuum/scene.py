@@ -197,7 +197,7 @@ class Scene:
         hands = tuple(replace(h, centre=moved(h.centre), rotation=rotation @ h.rotation @ rotation.T) for h in self.hands)
         ground = self.ground
         if ground is not None:
-            normal = rotation @ ground.normal
+            normal = np.clip(rotation @ ground.normal, -1.0, 1.0)  # rounding makes it longer than it may be
             ground = _below(Plane(normal, float(normal @ moved(ground.offset * ground.normal)) - self.body.standoff), self.body)
         return replace(self, hands=hands, controllers=moved(self.controllers), gravity=rotation @ self.gravity, ground=ground)
 

@@ -94,7 +94,7 @@ def test_what_holds_a_cable_is_found_where_it_does(twin, sound):
     found = asked([case], CONFIG, fitted_on=sound, twin=twin).answer
     held = next(n for n in found.named if n.name == "hidden_tether")
     assert found.test.p < 1e-3 and next(iter(found.probabilities)) == "hidden_tether"
-    assert np.linalg.norm(np.subtract(held.place, where)) < 0.01
+    assert np.linalg.norm(np.subtract(held.place, where)) < 0.025  # markers are 88 mm apart, and places between them are tried too
 
 
 def test_a_hand_kept_back_is_looked_at_by_the_markers_that_are_free_in_all(twin, sound):

@@ -41,5 +41,7 @@ def test_the_ground_is_where_it_was_beside_hands_but_never_in_the_body(scene):
     assert isinstance(scene.ground, Plane)
     moved = scene.seen_from(np.zeros(3), -0.01 * scene.ground.normal)  # points 10 mm lower than they are: so is the ground
     assert moved.ground.offset == pytest.approx(scene.ground.offset - 0.01, abs=1e-9)
+    turned = [scene.seen_from(turn, np.zeros(3)).ground.normal for turn in 1e-9 * np.random.default_rng(0).normal(size=(50, 3))]
+    assert np.abs(turned).max() <= 1.0  # rounding is no error
     raised = scene.seen_from(np.zeros(3), 0.01 * scene.ground.normal)
     assert raised.ground.offset <= (scene.body.surface @ scene.ground.normal).min() + 1e-9
