@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ...methods.base import Diverged
-from ...methods.gs_dynamics.graph import farthest_points
+from ...methods.farthest import farthest_points
 from ...methods.gs_dynamics.network import FARTHEST
 from ...methods.gs_dynamics.place import cells, tool_nodes
 from ...methods.gs_dynamics.twin import GSDynamicsTwin

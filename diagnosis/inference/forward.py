@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 from ...datasets.scenario import Scenario
 from ...methods.continuum.config import Config
-from ...methods.continuum.estimate import own_values
+from ...methods.continuum.estimate import own_values, steps_of
 from ...methods.continuum.joint import placed
 from ...methods.continuum.scene import Scene
 from ...methods.continuum.simulate import Simulator
@@ -178,7 +178,7 @@ class Forward:
 
     def steps(self, row: Mapping[str, float]) -> int:
         """The most steps a frame that any recording takes with a dict of values beside the twin's own."""
-        return max(int(np.prod(s.steps(own_values({**self.told, **row}, r)))) for r, s in enumerate(self.simulators))
+        return steps_of(self.simulators, {**self.told, **row})
 
     def reference(self) -> tuple[list[np.ndarray], np.ndarray]:
         """(R paths (T, M, 3) m, the block means (B,) m of them) where the fit ended. Raises ValueError where the twin diverges there."""

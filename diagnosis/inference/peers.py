@@ -86,7 +86,7 @@ def compared(
         raise ValueError(f"the twin must not diverge in {FEWEST} sound recordings, got {int(kept.sum())} (scenario {case.name})")
     members = left[:-1][kept]
     tell(f"{len(members)} sound recordings")
-    catalogue = signatures(forward, reference, config)
+    catalogue = signatures(forward, paths, reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
     scatter = Scatter(members, noise, slopes[-1], forward.layout)
     posterior = forward.posterior(slopes[-1])

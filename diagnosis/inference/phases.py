@@ -136,7 +136,7 @@ def gathered(
     sd = np.where(layout.fitted, np.sqrt(np.diag(noise)), np.inf)
     both = np.concatenate([runs, forward.data[None]])
     left, settled = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
-    catalogue = signatures(forward, reference, config)
+    catalogue = signatures(forward, paths, reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
     scatter = Scatter(left[:-1], noise, slopes, layout, 0.0 if against else 1e-3 * config.floor)
     posterior = forward.posterior(slopes)

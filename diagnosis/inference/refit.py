@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...methods.continuum.estimate import run_within
 from ..config import DiagnosisConfig
 from ..effects import Candidate
 from .amounts import Scale
@@ -80,11 +81,7 @@ def refitted(
 
     def simulated(shifts, more):
         rows = [{**forward.values(s), **one} for s, one in zip(shifts, more, strict=True)]
-        kept = [k for k, row in enumerate(rows) if twins.steps(row) <= most]
-        found = np.full((len(rows), len(data)), np.nan)  # what is too dear to run is as what diverged
-        if kept:
-            found[kept] = twins.rows([rows[k] for k in kept])
-        return found
+        return run_within(rows, twins.rows, twins.steps, most, len(data))
 
     if signature is not None:
         tried = signature.candidate

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...methods.farthest import farthest_points
 from ..config import DiagnosisConfig
 from ..effects import Candidate, effects
 from .forward import Forward
@@ -52,8 +53,8 @@ class Score:
     explains: float
 
 
-def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Signature]:
-    """What each candidate that shows in the recordings does.
+def signatures(forward: Forward, paths: Sequence[np.ndarray], reference, config: DiagnosisConfig) -> list[Signature]:
+    """What each candidate that shows in the recordings does, beside the reference's ``paths``, R of (T, M, 3) m, and block means (B,) m.
 
     By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Effects
     that have a place on the body are asked only where all recordings begin with the body in one place, since places are those of frame 0.
@@ -62,7 +63,7 @@ def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Sig
     grounded = all(forward.simulators[r].scene.ground is not None for r in asked_of)
     places = forward.blocks[asked_of[0]].regions
     fitted = forward.layout.fitted
-    passed = _passed(forward, asked_of[0])
+    passed = _passed(forward, paths[asked_of[0]], asked_of[0])
     alike = all(np.linalg.norm(forward.blocks[r].regions.mean(0) - places.mean(0)) < ALIKE for r in asked_of)
     asked = [e for e in effects(kind) if (grounded or not e.grounded) and (alike or not e.place)]
     groups: dict[str, list] = {}
@@ -80,23 +81,18 @@ def signatures(forward: Forward, reference, config: DiagnosisConfig) -> list[Sig
     return found
 
 
-def _passed(forward: Forward, record: int) -> np.ndarray:
-    """(P, 3) m, at most ``PLACES`` places of the room that the sound twin passes and where the body is not in frame 0, nor hands ever."""
+def _passed(forward: Forward, path, record: int) -> np.ndarray:
+    """(P, 3) m, at most ``PLACES`` places of the room that the sound twin's ``path`` (T, M, 3) m passes, where the body is not in frame 0,
+    nor hands ever."""
     if forward.contrast is not None:
         return np.zeros((0, 3))
     from scipy.spatial import cKDTree
 
-    scene = forward.simulators[record].scene
-    path = forward.paths([forward.values(np.zeros(len(forward.unknowns)))])[record][0][::EVERY].reshape(-1, 3)
-    free = path[cKDTree(scene.structure).query(path)[0] > CLEAR]
+    scene, free = forward.simulators[record].scene, path[::EVERY].reshape(-1, 3)
+    free = free[cKDTree(scene.structure).query(free)[0] > CLEAR]
     if scene.hands and len(free):
         free = free[cKDTree(np.concatenate([hand.centre for hand in scene.hands])).query(free)[0] > PASSED]
-    chosen: list[int] = []
-    far = np.full(len(free), np.inf)
-    while len(chosen) < PLACES and far.max(initial=0.0) > APART:  # the farthest from those that are chosen
-        chosen.append(int(far.argmax()))
-        far = np.minimum(far, np.linalg.norm(free - free[chosen[-1]], axis=1))
-    return free[chosen]
+    return free[farthest_points(free, most=PLACES, radius=APART)] if len(free) else free
 
 
 def _of_amounts(candidate: Candidate, kept: list[int]) -> Candidate:

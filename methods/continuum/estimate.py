@@ -21,7 +21,7 @@ from .sights import CloudSight, Sight, regions_of, sight_of
 from .simulate import Simulator
 from .unknowns import Unknown, members
 
-__all__ = ["Estimate", "estimate", "unknowns_of"]
+__all__ = ["Estimate", "estimate", "own_values", "run_within", "steps_of", "unknowns_of"]
 
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
@@ -71,6 +71,20 @@ def own_values(values: dict, record: int) -> dict:
     """``values`` as the scene of a recording names them."""
     prefix = f"rec{record}_"
     return {name.removeprefix(prefix): v for name, v in values.items() if name.startswith(prefix) or not name.startswith("rec")}
+
+
+def steps_of(simulators: Sequence[Simulator], values: dict[str, float]) -> int:
+    """The most steps a frame that any recording takes with the ``values`` of all."""
+    return max(int(np.prod(s.steps(own_values(values, r)))) for r, s in enumerate(simulators))
+
+
+def run_within(rows: Sequence, run: Callable[[list], np.ndarray], steps: Callable[[Any], int], most: float, size: int) -> np.ndarray:
+    """(K, size) m, what ``run`` says of ``rows`` (K,); NaN, as of what diverged, of those that take more than ``most`` steps a frame."""
+    kept = [k for k, row in enumerate(rows) if steps(row) <= most]
+    found = np.full((len(rows), size), np.nan)
+    if kept:
+        found[kept] = run([rows[k] for k in kept])
+    return found
 
 
 def estimate(
@@ -206,19 +220,13 @@ class Task:
 
     def simulate(self, values) -> np.ndarray:
         """(B, R) m, of values (B, n) of the unknowns; NaN of what takes more steps than ``most``."""
-        rows = [self._named(row) for row in values]
-        kept = [k for k, row in enumerate(rows) if self._steps(row) <= self.most]
-        found = np.full((len(rows), len(self.data)), np.nan)
-        if kept:
-            found[kept] = self.predict([rows[k] for k in kept])
-        return found
+        return run_within([self._named(row) for row in values], self.predict, self._steps, self.most, len(self.data))
 
     def _named(self, row) -> dict[str, float]:
         return dict(zip([u.name for u in self.unknowns], row, strict=True))
 
     def _steps(self, row) -> int:
-        """The most steps a frame that any recording takes."""
-        return max(int(np.prod(s.steps(own_values(self.fixed | row, r)))) for r, s in enumerate(self.simulators))
+        return steps_of(self.simulators, self.fixed | row)
 
 
 def _spread(found, task, coarse, count, seed):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...datasets.scenario import Observed
-from .graph import farthest_points
+from ..farthest import farthest_points
 
 __all__ = ["Place", "Upright", "cells", "tool_nodes"]
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..farthest import farthest_points
 from ..threads import threads_for
 from .config import Config
-from .graph import edges, farthest_points
+from .graph import edges
 from .network import Network
 from .windows import Clip
 

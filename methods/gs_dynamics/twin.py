@@ -12,9 +12,9 @@ import torch
 from ...datasets.scenario import Observed
 from .. import saving
 from ..base import Diverged, Trajectory, Twin
+from ..farthest import farthest_points
 from ..threads import threads_for
 from .config import Config, Quirks
-from .graph import farthest_points
 from .network import FARTHEST, Network
 from .place import Place, Upright, cells, tool_nodes
 from .skinning import node_rotations, skin

@@ -98,8 +98,8 @@ def test_a_member_that_is_too_dear_is_drawn_towards_the_fit(twin, recording):
 @pytest.mark.slow
 def test_signatures_are_measured_in_mm_and_absent_effects_are_zero(twin, recording):
     forward = Forward.of(twin, [recording], CONFIG)
-    reference = forward.at(np.zeros(2))[0]
-    found = signatures(forward, reference, CONFIG)
+    paths, reference = forward.reference()
+    found = signatures(forward, paths, reference, CONFIG)
     for one in found:
         assert 1e3 * np.sqrt(3 * np.mean(one.columns**2, 0)) == pytest.approx(np.ones(one.columns.shape[1]), rel=1e-6)
     names = {one.name for one in found}

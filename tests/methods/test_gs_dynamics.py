@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.base import Budget, Diverged
+from twinbench.methods.farthest import farthest_points
 from twinbench.methods.gs_dynamics import GSDynamics
 from twinbench.methods.gs_dynamics.config import CORRECTED, Config, Quirks
-from twinbench.methods.gs_dynamics.graph import edge_features, edges, farthest_points, node_features
+from twinbench.methods.gs_dynamics.graph import edge_features, edges, node_features
 from twinbench.methods.gs_dynamics.place import Upright, cells, tool_nodes
 from twinbench.methods.gs_dynamics.skinning import node_rotations, skin
 from twinbench.methods.gs_dynamics.windows import prepare, smooth, steps, travel, usual_paths, window
