@@ -19,8 +19,8 @@ from ..methods.continuum.unknowns import Unknown
 from .config import DiagnosisConfig
 from .experiment import plannable, planned
 from .inference.blocks import is_marked
-from .inference.contrast import comparable
-from .inference.peers import compared, there
+from .inference.contrast import comparable, until
+from .inference.peers import FEWEST, compared, there
 from .inference.phases import Answer, Evidence, Named, gathered, weighed
 from .outcome import Outcome, verdict_of
 from .suitable import suitable
@@ -45,11 +45,12 @@ def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed:
 
     It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use.
     """
-    return Continuum().fitted([one.observed() for one in recordings], _coarse(config), seed=seed, device=device)
+    return Continuum().fitted([one.observed() for one in recordings], _coarse(config, recordings), seed=seed, device=device)
 
 
-def _coarse(config: DiagnosisConfig) -> Config:
-    return Config(coarse=config.cells, refinement=0)
+def _coarse(config: DiagnosisConfig, recordings: Sequence[Scenario]) -> Config:
+    """All recordings are fitted, whose hands have numbers of their own; of markers as many as suit a cable."""
+    return Config(coarse=config.cells, refinement=0, recordings=None if is_marked(recordings[0], config) else len(recordings))
 
 
 def told_twin(twin: ContinuumTwin, observed: Sequence[Observed], named: Named, made: Config, *, seed: int = 0) -> ContinuumTwin:
@@ -85,12 +86,12 @@ def asked(
     twin: one that was fitted so before, which is not fitted again.
     """
     progress("fitting a sound twin")
-    if fitted_on and is_marked(recordings[0], config):
-        twin = twin or sound_twin([_whole(one) for one in fitted_on], config, seed=seed, device=device)
+    known = [comparable(recordings[0], one) for one in against] or [_whole(one) for one in fitted_on]
+    if known and is_marked(recordings[0], config):
+        twin = there(twin or sound_twin([_whole(one) for one in known], config, seed=seed, device=device), recordings[0])
+    if len(fitted_on) >= FEWEST and is_marked(recordings[0], config):
         evidence = compared(twin, recordings[0], fitted_on, config, progress=progress)
-        twin = there(twin, recordings[0])
     else:
-        known = [comparable(recordings[0], one) for one in against] or [_whole(one) for one in fitted_on]
         everything = [*recordings, *known]
         twin = twin or sound_twin(everything, config, seed=seed, device=device)
         sound = range(len(recordings), len(everything))
@@ -101,7 +102,7 @@ def asked(
         told = _refitted_twin(twin, evidence, answer.named[0])
     elif answer.verdict == "named":
         progress(f"fitting the twin with {answer.named[0].words}")
-        told = told_twin(twin, [one.observed() for one in recordings], answer.named[0], _coarse(config), seed=seed)
+        told = told_twin(twin, [one.observed() for one in recordings], answer.named[0], _coarse(config, recordings), seed=seed)
     return Asked(twin, evidence, answer, told)
 
 
@@ -143,6 +144,7 @@ def ask(
     begun, config = time.time(), config or DiagnosisConfig()
     if against and (fitted_on or len(recordings) != 1):
         raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
+    recordings = [until(recordings[0], against)] if against else recordings
     suitable(recordings, transfer, fitted_on=fitted_on, against=against, config=config)
     options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
     found = asked(recordings, config, **options)

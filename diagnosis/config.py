@@ -30,6 +30,9 @@ class DiagnosisConfig:
     floor       standard deviation of what each block mean is off by beside what members are [mm]: they differ in few things, and are too
                 much alike in what is fine. The truths of simulators move by 1 to 4 mm when their meshes are made finer. Between recordings
                 of one command, in which it is the same, it is nothing
+    repeat      standard deviation of what a place is off by where a body is set up anew for the same command [mm], all the time and as
+                much again from bin to bin, beside one sound recording: robots repeat to a tenth of it, what is laid or clamped by hand to
+                some of it. Two sound ones tell it
     rounds      of absorption, each a step and a run of the reference for every member: after two, some of eight members of two blocks were
                 left with 2.4 mm, after four with 1.9, after eight with 1.7 (the largest)
     stiffest    of hands, contact: members' angular frequencies over the reference's, as far up and down (log-uniform)
@@ -62,6 +65,7 @@ class DiagnosisConfig:
     broad: float = 0.3
     dearest: float = 4.0
     floor: float = 1.0
+    repeat: float = 1.0
     rounds: int = 4
     stiffest: float = 1.5
     motion: float = 20.0

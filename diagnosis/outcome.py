@@ -27,6 +27,9 @@ __all__ = ["Outcome", "chance_of_sound", "verdict_of"]
 
 SCHEMA = 2
 NORMAL90 = 1.645  # standard deviations on either side of a normal 90 % interval
+UNFOUNDED = (
+    "How far a sound twin is off markers on such a body is told by recordings in which nothing is missing alone (--fitted-on, --against)."
+)
 READINGS = 0.9  # names are readings until they have this much of the probability together, were one of them true
 
 
@@ -99,6 +102,8 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
     """
     if answer.verdict == "adequate":
         return ("cannot_tell" if _why_undecided(answer, config) else "adequate"), ()
+    if answer.verdict == "unfounded":
+        return "cannot_tell", ()
     if answer.verdict == "unknown":
         return "unknown", ()
     first, kinds = answer.named[0], {e.name: e.kind for e in effects()}
@@ -115,6 +120,8 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
 
 def _why_undecided(answer: Answer, config: DiagnosisConfig) -> str | None:
     """Why recordings that a sound twin explains do not show that it is one, or None."""
+    if answer.verdict == "unfounded":
+        return UNFOUNDED
     sizes: dict[str, float] = {}
     for one in answer.detectable:
         sizes[one.name] = min(one.size, sizes.get(one.name, np.inf))

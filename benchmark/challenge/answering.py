@@ -53,14 +53,15 @@ def each(
 
 
 def answer_case(case: Path, names: Sequence[str], preset: str, device: str, label: dict | None = None) -> dict[str, dict]:
-    """Answers of the entrants ``names`` to ``case``/fit with ``case``/transfer. An error is an answer that says so, and so is nonsense."""
-    from ..opening import open_scenario
+    """Answers of the entrants ``names`` to ``case``/fit, with fit_2 and so on, and ``case``/transfer.
 
+    An error is an answer that says so, and so is nonsense.
+    """
     found, given, shared = {}, None, 0.0
     for name in names:
         begun = time.time()
         try:
-            given = given or Given(*(open_scenario(str(case / part)) for part in ("fit", "transfer")), preset=preset, device=device)
+            given = given or _given(case, preset, device)
             given.label = label if entrants()[name].told else None
             answered = "diagnosis" in vars(given)
             said = _understood(entrants()[name].answer(given))
@@ -72,6 +73,14 @@ def answer_case(case: Path, names: Sequence[str], preset: str, device: str, labe
             said = Answer.failed(f"{type(error).__name__}: {error}", round(time.time() - begun, 1))
         found[name] = said.plain()
     return found
+
+
+def _given(case: Path, preset: str, device: str) -> Given:
+    from ..opening import open_scenario
+
+    further = sorted((path for path in case.glob("fit_*") if path.is_dir()), key=lambda path: int(path.name.removeprefix("fit_")))
+    fit, transfer, *more = (open_scenario(str(path)) for path in (case / "fit", case / "transfer", *further))
+    return Given(fit, transfer, tuple(more), preset=preset, device=device)
 
 
 def _understood(said) -> Answer:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -35,6 +35,8 @@ class Make(OnCluster):
     """Instead of a seed: a public random text that became known only after the checked-out commit; the seed is the hash of both."""
     engines: Names = ()
     """Simulators to take the cases from, of each body in equal shares: mujoco, finite, cosserat (ropes), newton (others). Default: all."""
+    recordings: Annotated[tuple[int, ...], arg(metavar="INT ...")] = ()
+    """How many recordings of a case may be fitted, in turn: 1 1 8 gives every third case eight. Default: as the preset has it, one."""
     jobs: int | None = None
     """Cases that are made at the same time. Default: one; on a cluster, as many as it allows."""
 
@@ -53,7 +55,7 @@ class Make(OnCluster):
         seed = str(self.seed) if self.beacon is None else seed_of(origin["commit"], self.beacon)
         engines = self.engines or tuple(ENGINES)
         who: dict[str, Any] = {"jobs": self.jobs or 1, "executor": self.on_cluster()}
-        found = make(writable(self.out), preset=self.preset, seed=seed, engines=engines, origin=origin, **who, progress=_say)
+        found = make(writable(self.out), preset=self._preset(), seed=seed, engines=engines, origin=origin, **who, progress=_say)
         folder = Folder(self.out)
         sound = {name: read_json(folder.kept / f"{name}.json")["label"]["kind"] == "control" for name in found["cases"]}
         told = audit({name: folder.cases / name for name in found["cases"]}, sound)
@@ -61,6 +63,18 @@ class Make(OnCluster):
         print(f"Names, sizes, types and times tell controls with an area under the curve of {told.auc:.2f} (p = {told.p:.2f} by chance)")
         print(f"Publish {folder.manifest} or its root {found['root']}; keep {folder.kept} to yourself")
         return 0
+
+    def _preset(self):
+        """The preset's name, or what it says with other ``recordings``."""
+        from ...datasets.concealed.plan import PRESETS
+        from ..options import known
+
+        if not self.recordings:
+            return self.preset
+        known("preset", [self.preset], PRESETS)
+        if min(self.recordings) < 1:
+            raise ValueError(f"--recordings must be at least 1, got {min(self.recordings)}")
+        return replace(PRESETS[self.preset], recordings=self.recordings)
 
 
 @dataclass(frozen=True)

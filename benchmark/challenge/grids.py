@@ -39,10 +39,15 @@ def grids(rows: Sequence[Row]) -> list[Grid]:
         _power("By effect", "effect", _groups(effects, lambda r: r.truth)),
         _parts("By body", "body", _groups(rows, lambda r: r.label["object"])),
         _parts("By engine", "engine", _groups(rows, lambda r: str(r.label.get("simulated_by", "-")))),
+        *([_parts("By recordings that may be fitted", "recordings", many)] if len(many := _groups(rows, _recordings)) > 1 else []),
         _parts("By control", "control", _groups([r for r in rows if r.kind == "control"], lambda r: r.label["control"])),
         _reliability(rows),
         _confusion(rows),
     ]
+
+
+def _recordings(row) -> str:
+    return str(max(1, len(row.label.get("interactions") or ()) - 1))
 
 
 def _groups(rows, key):

@@ -1,4 +1,4 @@
-"""A case: two recordings of one object under two interactions with the same thing concealed, and the label that says what."""
+"""A case: two or more recordings of one object under as many interactions with the same thing concealed, and the label that says what."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ DRAWS = 10  # bodies and interactions that are tried
 class Case:
     """fit, transfer  what a user gets; label  what was concealed, plain numbers and texts for a JSON file.
 
+    more   further recordings that may be fitted
     truth  of both recordings what they would be without errors of measurement (``sensed``), by ``fit_points`` and so on: for scores alone
     """
 
@@ -40,6 +41,12 @@ class Case:
     transfer: Scenario
     label: dict
     truth: dict[str, Any] = field(default_factory=dict)
+    more: tuple[Scenario, ...] = ()
+
+    @property
+    def parts(self) -> dict[str, Scenario]:
+        """All recordings by the names of their folders: fit, fit_2, ..., transfer."""
+        return {"fit": self.fit, **{f"fit_{k}": one for k, one in enumerate(self.more, 2)}, "transfer": self.transfer}
 
 
 # Hard controls: nothing is missing, but something is harder than usual.
@@ -58,6 +65,7 @@ def build(
     solids: str = "tetrahedra",
     thin: str = "coarse",
     interactions: tuple[str, ...] = (),
+    recordings: int = 1,
 ) -> Case:
     """One case. ``kind`` is effect, control, outside or pair, ``name`` what of it (a pair ``one+other``), ``body`` cloth, rope, plush.
 
@@ -65,7 +73,7 @@ def build(
     each by itself. A control is filmed in interactions that could show the effect ``like``, so that these say nothing; in any unless given.
     ``engine`` of ``ENGINES`` simulates it; ``solids`` of ``bodies.SOLIDS`` says what stuffed bodies are made of, ``thin`` of
     ``bodies.THIN`` how ropes and cloths are meshed. ``interactions`` names those of the fit and of the transfer recording, where they are
-    not to be drawn.
+    not to be drawn. ``recordings`` may be fitted: those after the first are filmed in further interactions that could show the effect.
     Raises ValueError for unknown names, RuntimeError where no draw gives a stable and visible effect.
     """
     known = {"effect": EFFECTS, "outside": OUTSIDE, "control": CONTROLS, "pair": EFFECTS}
@@ -82,7 +90,8 @@ def build(
     for attempt in range(DRAWS):
         rng = np.random.default_rng([seed, attempt])
         try:
-            return _attempt(kind, names, body, rng, seed, attempt, clear, like, simulated, {"solids": solids, "thin": thin}, interactions)
+            how = {"solids": solids, "thin": thin}
+            return _attempt(kind, names, body, rng, seed, attempt, clear, like, simulated, how, interactions, recordings)
         except (Unstable, Dull) as reason:
             reasons.append(str(reason))
     raise RuntimeError(f"no {name} of a {body} in {DRAWS} draws: {'; '.join(reasons)}")
@@ -92,7 +101,7 @@ class Dull(RuntimeError):
     """An effect cannot be seen."""
 
 
-def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, how, interactions):
+def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, how, interactions, count):
     planned, name = [(EFFECTS | OUTSIDE)[n] for n in names if kind != "control"], names[0]
     body = bodies.draw(body_kind, rng, fine=name == "finer_mesh", **how)
     if name == "uneven_stiffness":
@@ -103,10 +112,8 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, ho
         body = replace(body, bending=body.bending * rng.choice([0.3, 4.0]))
     if name == "other_bending" and body.dim == 1:
         body = replace(body, young=body.young * rng.choice([0.4, 2.5]))
-    if interactions:
-        scripts = tuple(motions.draw(one, body, rng) for one in interactions)
-    else:
-        scripts = _scripts(planned or [(EFFECTS | OUTSIDE)[like]] if planned or like else [], body, rng)
+    shown = planned or ([(EFFECTS | OUTSIDE)[like]] if like else [])
+    scripts = tuple(motions.draw(one, body, rng) for one in interactions) if interactions else _scripts(shown, body, rng)
     plain = (engine.simulate(body, scripts[0]),)
     chaos = _chaos(body, scripts[0], plain[0], engine)
     if chaos > min(CHAOS, clear[1] / BEYOND):
@@ -125,9 +132,12 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, ho
         tracker = replace(tracker, drift=2.2 * tracker.drift, noise=1.3 * tracker.noise)
     if name == "long_occlusion":
         tracker = replace(tracker, hidden=2, hiding=(rng.uniform(0.08, 0.11), 35))
+    further = tuple(motions.draw(str(k), body, rng) for k in rng.choice(_able(shown, body), count - 1)) if count > 1 else ()
+    motion = (*motion, *(engine.simulate(effect.body, script, effect.physics, substeps=effect.substeps) for script in further))
+    scripts = (*scripts, *further)
     filmed = {
         part: sensed(effect.body, script, m, tracker, effect.faults, np.random.default_rng([seed, attempt, i]), name=part)
-        for i, (part, script, m) in enumerate(zip(("fit", "transfer"), scripts, motion, strict=True))
+        for i, (part, script, m) in enumerate(zip(("fit", "transfer", *_named(further)), scripts, motion, strict=True))
     }
     recordings = [recording for recording, _ in filmed.values()]
     label = _label(kind, names, effect, scripts, motion, tracker, seed, attempt, sizes | {"chaos": chaos}, engine)
@@ -140,15 +150,25 @@ def _attempt(kind, names, body_kind, rng, seed, attempt, clear, like, engine, ho
         ]
     if how != {"solids": "tetrahedra", "thin": "coarse"}:  # labels of sets that are sealed already stay as they were published
         label |= how | {"motion": [motions.parts(script) for script in scripts]}
-    fit, transfer = recordings
-    return Case(fit, transfer, label, {f"{part}_{name}": v for part, (_, true) in filmed.items() for name, v in true.items()})
+    fit, transfer, *more = recordings
+    return Case(fit, transfer, label, {f"{part}_{name}": v for part, (_, true) in filmed.items() for name, v in true.items()}, tuple(more))
+
+
+def _named(further) -> list[str]:
+    return [f"fit_{k}" for k, _ in enumerate(further, 2)]
+
+
+def _able(planned, body) -> list[str]:
+    """Interactions that can show all that is planned."""
+    able = [kind for kind in (planned[0].fits if planned else motions.KINDS) if all(kind in one.fits for one in planned)]
+    if planned and body.kind == "plush":  # two hands leave a short thick body no freedom to show anything but stretch
+        able = [kind for kind in able if kind not in ("twist", "two_hands")] or able
+    return able
 
 
 def _scripts(planned, body, rng):
     """Two interactions that can show all that is planned, of different kinds where more than one can."""
-    able = [kind for kind in (planned[0].fits if planned else motions.KINDS) if all(kind in one.fits for one in planned)]
-    if planned and body.kind == "plush":  # two hands leave a short thick body no freedom to show anything but stretch
-        able = [kind for kind in able if kind not in ("twist", "two_hands")] or able
+    able = _able(planned, body)
     first = rng.choice(able)
     second = rng.choice([kind for kind in able if kind != first] or able)
     return tuple(motions.draw(str(kind), body, rng) for kind in (first, second))

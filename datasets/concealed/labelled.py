@@ -94,6 +94,7 @@ def _options(arguments):
         help="how ropes and cloths are meshed: resolved ones are held alike on every mesh",
     )
     parser.add_argument("--pairs", nargs="+", default=(), metavar="FIT:TRANSFER", help="interactions of the cases in turn, as lift:slow")
+    parser.add_argument("--recordings", type=int, default=1, help="of each case that may be fitted: fit, fit_2 and so on")
     parser.add_argument("--clear", nargs=2, type=float, default=CLEAR, metavar=("LOW", "HIGH"), help="displacement by an effect [m RMS]")
     parser.add_argument("--engine", choices=tuple(ENGINES), default="mujoco", help="what simulates them; cosserat: ropes, newton: others")
     parser.add_argument("--cases", nargs="+", metavar="CASE", help="some of them, as case_007: a large set can be made part by part")
@@ -113,6 +114,7 @@ def _write(options):
         wanted = {name: wanted[name] for name in options.cases}
     todo = {name: case for name, case in wanted.items() if name not in labels or not (options.out / name / "transfer").is_dir()}
     how = {"clear": tuple(options.clear), "engine": options.engine, "solids": options.solids, "thin": options.thin}
+    how |= {"recordings": options.recordings}
     with Pool(options.jobs) as pool:
         running = {pool.submit(make, options.out, *case, options.seed, options.pairs, **how): name for name, case in todo.items()}
         for done, future in enumerate(as_completed(running), 1):

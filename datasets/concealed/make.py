@@ -33,14 +33,14 @@ WHEN = 1e9  # of all files [s since 1970]: when something was written says how l
 
 
 def write_pair(case: Case, folder: Path, index: int) -> None:
-    """Write both recordings of a case as ``folder``; nothing in them says what they are but that they belong together.
+    """Write all recordings of a case as ``folder``; nothing in them says what they are but that they belong together.
 
     What a killed run left there goes, and what it left half-written beside them too.
     """
     shutil.rmtree(folder, ignore_errors=True)
-    for part in ("fit", "transfer"):
+    for part, recording in case.parts.items():
         about = {"object": f"object_{index:03d}", "session": f"{folder.name}_{part}"}
-        write_case(folder / part, replace(getattr(case, part), **about))
+        write_case(folder / part, replace(recording, **about))
     for path in [*folder.rglob("*"), folder]:
         os.utime(path, (WHEN, WHEN))
 
@@ -67,7 +67,7 @@ def make(
     require(engines)
     entries = plan(preset, seed, engines=engines)
     asked = PRESETS[preset] if isinstance(preset, str) else preset
-    ours = {"seed": seed, "plan": [{**asdict(e), "clear": list(e.clear)} for e in entries]}
+    ours = {"seed": seed, "plan": [_written(e) for e in entries]}
     file = folder.kept / "plan.json"
     if file.exists() and read_json(file) != ours:
         raise ValueError(f"{folder.root}: holds a sealed set of another seed or plan; choose another folder")
@@ -103,9 +103,15 @@ def make(
     return manifest
 
 
+def _written(entry: Entry) -> dict:
+    """As plan.json has it; one recording to be fitted, as sealed sets had, is not said."""
+    found = {**asdict(entry), "clear": list(entry.clear)}
+    return {name: value for name, value in found.items() if (name, value) != ("recordings", 1)}
+
+
 def _public(preset: Preset) -> dict:
     """A preset as the manifest has it: bodies are not named where all take part."""
-    named = [f.name for f in fields(Preset) if f.name not in ("bodies", "without") or getattr(preset, f.name) != f.default]
+    named = [f.name for f in fields(Preset) if f.name not in ("bodies", "without", "recordings") or getattr(preset, f.name) != f.default]
     return {name: list(value) if isinstance(value := getattr(preset, name), tuple) else value for name in named}
 
 
@@ -129,12 +135,13 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
         own = int(np.random.default_rng([entropy(seed), 1, index, attempt]).integers(2**31))
         try:
             about: dict = dict(clear=(clear[0], clear[1]), like=entry.like, engine=by, solids=preset.solids, thin=preset.thin)
+            about |= dict(recordings=entry.recordings)
             case = build(entry.kind, entry.name, body, seed=own, **about)
         except RuntimeError as reason:
             reasons.append(str(reason))
             continue
         write_pair(case, folder.cases / name, index)
-        frames = [len(case.fit.points), len(case.transfer.points)]
+        frames = [len(case.fit.points), len(case.transfer.points), *(len(one.points) for one in case.more)]
         label = case.label | {"level": level, "like": entry.like or None, "simulated_by": by, "frames": frames}
         if meshes != (Preset.solids, Preset.thin):  # labels of sets that are sealed already stay as they were published
             label |= refinement(body, by, meshing(body, *meshes), label["interactions"])

@@ -35,7 +35,7 @@ class Preset:
 
     All are in ``bodies``, and what none of them can show is left out. ``solids`` of ``bodies.SOLIDS`` says what stuffed bodies are made of,
     ``thin`` of ``bodies.THIN`` how ropes and cloths are meshed: what locks, and coarsely, as in the sets that were sealed with quick and
-    full, unless another is asked.
+    full, unless another is asked. ``recordings`` says how many of a case may be fitted, in turn.
     """
 
     controls: int
@@ -47,6 +47,7 @@ class Preset:
     thin: str = "coarse"
     bodies: tuple[str, ...] = tuple(BODIES)
     without: tuple[str, ...] = ()
+    recordings: tuple[int, ...] = (1,)
 
     def shown(self, names: Iterable[str]) -> tuple[str, ...]:
         """Of ``bodies``, those that can show all of ``names`` of ``EFFECTS`` and ``OUTSIDE``; none where one is not wanted."""
@@ -76,6 +77,7 @@ class Entry:
     clear  how far the points may be moved [m RMS]; a control must be as predictable as if they were
     like   the effect in whose interactions a control is filmed
     level  size over ``FLOOR``, where one is asked
+    recordings  how many may be fitted
     """
 
     kind: str
@@ -85,6 +87,7 @@ class Entry:
     clear: tuple[float, float] = CLEAR
     like: str = ""
     level: float | None = None
+    recordings: int = 1
 
 
 def entropy(seed: str) -> int:
@@ -120,7 +123,8 @@ def plan(preset: str | Preset, seed: str, *, engines: Sequence[str]) -> list[Ent
     for k, name in enumerate(_turns(rng, CONTROLS, preset.controls)):
         one = filmed[k % len(filmed)]
         cases.append(Entry("control", name, one.body, one.engine, one.clear, like=one.name))
-    return [cases[i] for i in rng.permutation(len(cases))]
+    shuffled = [cases[i] for i in rng.permutation(len(cases))]
+    return [replace(case, recordings=preset.recordings[k % len(preset.recordings)]) for k, case in enumerate(shuffled)]
 
 
 def _turns(rng, names, wanted):

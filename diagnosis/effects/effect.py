@@ -78,7 +78,7 @@ class Effect:
             for a in told.amplitudes
         )
         usual: dict[str, Any] = dict(name=told.name, says=told.says, amounts=amounts, shapes=told.shapes, motion=told.motion)
-        usual |= dict(place=told.place, within=told.within, anchored=f"{told.place}_anchor_x" in known)
+        usual |= dict(place=told.place, within=told.within, roaming=told.roaming, anchored=f"{told.place}_anchor_x" in known)
         return cls(kind=kind, term=term, bodies=bodies, **(usual | about))
 
     @property
@@ -90,23 +90,27 @@ class Effect:
         """What a simulator is given for ``amounts``."""
         return dict(self.law(amounts)) if self.law else dict(amounts)
 
-    def candidates(self, places) -> list[Candidate]:
-        """At all shapes and, where it has one, at each of ``places`` (P, 3) m."""
+    def candidates(self, places, laid: Mapping[int, Callable[[np.ndarray], np.ndarray]] | None = None) -> list[Candidate]:
+        """At all shapes and, where it has one, at each of ``places`` (P, 3) m; ``laid`` as ``Candidate`` has it."""
         shapes = [dict(zip(self.shapes, row, strict=True)) for row in product(*self.shapes.values())]
         if not self.place:
             return [Candidate(self, shape) for shape in shapes]
         spots = [{f"{self.place}_{axis}": float(c) for axis, c in zip("xyz", at, strict=True)} for at in places]
         if self.anchored:
             spots = [s | {f"{self.place}_anchor_{axis}": s[f"{self.place}_{axis}"] for axis in "xyz"} for s in spots]
-        return [Candidate(self, shape | spot) for shape in shapes for spot in spots]
+        return [Candidate(self, shape | spot, laid or {}) for shape in shapes for spot in spots]
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at a place and with a shape, ``fixed`` by parameter name."""
+    """An effect at a place and with a shape, ``fixed`` by parameter name.
+
+    laid  where a place on the body, (3,) m in frame 0 of the first recording, is in others, by their numbers
+    """
 
     effect: Effect
     fixed: Mapping[str, float]
+    laid: Mapping[int, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
 
     @property
     def place(self) -> np.ndarray | None:
@@ -129,7 +133,15 @@ class Candidate:
     def values(self, sizes) -> dict[str, float]:
         """What a simulator is given where the amounts are ``sizes`` (m,)."""
         amounts = {a.name: float(np.clip(s, a.low, a.high)) for a, s in zip(self.effect.amounts, sizes, strict=True)}
-        return dict(self.fixed) | self.effect.values(amounts)
+        return dict(self.fixed) | self._elsewhere() | self.effect.values(amounts)
+
+    def _elsewhere(self) -> dict[str, float]:
+        """The place in other recordings, as a fit of several names what is one recording's own."""
+        place = self.place
+        if place is None or self.effect.roaming:
+            return {}
+        there = {r: move(place) for r, move in self.laid.items()}
+        return {f"rec{r}_{self.effect.place}_{axis}": float(c) for r, at in there.items() for axis, c in zip("xyz", at, strict=True)}
 
     @property
     def words(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from ...datasets.scenario import Scenario
 from .blocks import Blocks
 
-__all__ = ["Contrast", "as_long", "comparable"]
+__all__ = ["Contrast", "as_long", "comparable", "until"]
 
 HANDS = 0.005  # m, root mean square over frames: what a robot repeats, and what a tracker of hands sees differently
 BEGINS = 0.01  # m between the middles of the body in frame 0
@@ -21,15 +21,19 @@ class Contrast:
     """matrix (B, A): block means of the first recording less the mean of the others' of the same place and time, of A block means of all.
 
     rows (B,) which of the A are the first recording's; ``others`` (B, S) those of S sound recordings; ``bins`` (B,) the bins of time
+    sites (B,) which values are of one place and component; ``repeat`` m, by how much recordings of one command differ, all the time and
+    from bin to bin
     """
 
     matrix: np.ndarray
     rows: np.ndarray
     others: np.ndarray
     bins: np.ndarray
+    sites: np.ndarray
+    repeat: float = 0.0
 
     @classmethod
-    def of(cls, blocks: Sequence[Blocks]) -> Contrast:
+    def of(cls, blocks: Sequence[Blocks], repeat: float = 0.0) -> Contrast:
         """Raises ValueError where no place and time is seen in all of them."""
         first, *sound = blocks
         common = [c for c in first.cells if all(c in one.cells for one in sound)]
@@ -44,7 +48,19 @@ class Contrast:
         matrix[each, rows] = 1.0
         for one in others:
             matrix[each, one] = -1 / len(others)
-        return cls(matrix, rows, np.stack(others, 1), np.repeat(np.array(common) // first.count, 3))
+        at = np.repeat(np.array(common), 3)
+        sites = 3 * (at % first.count) + np.tile(np.arange(3), len(common))
+        return cls(matrix, rows, np.stack(others, 1), at // first.count, sites, repeat)
+
+    @property
+    def set_up(self) -> np.ndarray:
+        """(B, k) m, what k independent numbers add to how far recordings of one command differ: two sound recordings tell it, one does not.
+
+        Each site is off all the time, and each of the B values by itself.
+        """
+        if self.others.shape[1] > 1 or not self.repeat:
+            return np.zeros((len(self.rows), 0))
+        return self.repeat * np.c_[self.sites[:, None] == np.unique(self.sites), np.eye(len(self.rows))].astype(float)
 
     def repeats(self, off, variance) -> np.ndarray:
         """(B,) m^2: what the mean of S sound recordings and one more differ by beyond noise, from how far the sound ones differ.
@@ -83,6 +99,12 @@ def comparable(case: Scenario, sound: Scenario) -> Scenario:
     if (far := float(np.linalg.norm(middles[1] - middles[0]))) > BEGINS:
         raise ValueError(f"bodies must begin within {1e3 * BEGINS:g} mm of each other, got {1e3 * far:.1f} mm{where}")
     return sound
+
+
+def until(case: Scenario, sound: Sequence[Scenario]) -> Scenario:
+    """The first frames of ``case``, as many as the shortest of ``sound`` has too; the same share of them may be fitted."""
+    count = min(one.frame_count for one in (case, *sound))
+    return case if count == case.frame_count else case.shortened(count, round(case.split.train_end * count / case.frame_count))
 
 
 def as_long(sound: Scenario, case: Scenario) -> Scenario:

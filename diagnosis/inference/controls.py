@@ -33,6 +33,7 @@ STEPS = 100  # of expectation and maximisation: the slowest moves by less than 1
 DECIDING = (
     "level",
     "motion",
+    "repeat",
     "refitted",
     "astray",
     "steps",
@@ -90,16 +91,18 @@ class Controls:
     standardised: np.ndarray
 
     @classmethod
-    def of(cls, kind: str, config: DiagnosisConfig, *, marked: bool = False) -> Controls | None:
-        """Those of a ``kind`` of body, of which a few markers are seen instead of its surface if ``marked``; None where they are too few
-        to hold one beyond the level, or weighed otherwise."""
+    def of(cls, kind: str, config: DiagnosisConfig, *, marked: bool = False, recordings: int = 1) -> Controls | None:
+        """Those of a ``kind`` of body, of which a few markers are seen instead of its surface if ``marked``, of as many ``recordings``
+        together as there are controls of, at most so many; None where they are too few to hold one beyond the level, or weighed otherwise.
+        """
         known = _known()
-        own = known["kinds"].get(MARKED + kind if marked else kind, [])
-        if 1 / (1 + len(own)) >= config.level or config.members < known["config"]["members"]:
+        if config.members < known["config"]["members"] or known["config"] != _shaping(config) | {"members": known["config"]["members"]}:
             return None
-        if known["config"] != _shaping(config) | {"members": known["config"]["members"]}:
-            return None
-        return cls(np.array([row["standardised"] for row in own], float))
+        for count in range(recordings, 0, -1):
+            own = known["kinds"].get(_group(MARKED + kind if marked else kind, count), [])
+            if 1 / (1 + len(own)) < config.level:
+                return cls(np.array([row["standardised"] for row in own], float))
+        return None
 
     @cached_property
     def tails(self) -> tuple[Tail, ...]:
@@ -117,6 +120,10 @@ class Controls:
     def alarming(self, level: float) -> float:
         """The largest score, as a logarithm over members', above which p is below ``level`` whatever the misfit."""
         return self.tails[1].at(1 - (1 - level) ** (1 / len(self.tails)))
+
+
+def _group(kind: str, recordings: int) -> str:
+    return kind if recordings == 1 else f"{kind}, {recordings} recordings"
 
 
 @cache
@@ -146,7 +153,8 @@ def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
             raise ValueError(f"{path}: a table of controls must have sound rows, got none in {len(table)}")
         for row in sound.itertuples():
             values = [round(float(getattr(row, name)), 4) for name in ("over_misfit", "over_scan", *_more(row.kind))]
-            kinds.setdefault(row.kind, []).append({"set": row.set, "case": row.case, "standardised": values})
+            group = _group(str(row.kind), int(getattr(row, "recordings", 1)))
+            kinds.setdefault(group, []).append({"set": row.set, "case": row.case, "standardised": values})
     return {"config": _shaping(config), "kinds": {kind: sorted(rows, key=lambda r: (r["set"], r["case"])) for kind, rows in kinds.items()}}
 
 

@@ -83,11 +83,12 @@ class Forward:
         listed: list[dict[str, Any]] = twin.posterior["unknowns"]
         read: list[dict[str, Any]] = [{k: tuple(v) if isinstance(v, list) else v for k, v in u.items()} for u in listed]
         unknowns = tuple(Unknown(**known) for known in read)
-        scenes = [twin.scene]
+        cells = config.cells_of(twin.scene.body)
+        scenes = [_coarser(twin.scene, recordings[0].observed(), cells)]
         made = Config(contact="on" if twin.scene.contact else "off")
         for one in recordings[1:]:
             seen = one.observed()
-            scenes.append(placed(seen, twin.scene.body.laid(seen), made))
+            scenes.append(placed(seen, scenes[0].body.laid(seen), made))  # of the same cells
         shared = Blocks.of(recordings[0], config).regions if against else None
         blocks = tuple(Blocks.of(one, config, shared) for one in recordings)
         return cls(
@@ -96,13 +97,10 @@ class Forward:
             np.array(twin.posterior["covariance"]),
             twin.own_values,
             tuple(recordings),
-            tuple(
-                Simulator(_coarser(s, r.observed(), config.cells_of(s.body)), twin.extra, twin.device)
-                for s, r in zip(scenes, recordings, strict=True)
-            ),
+            tuple(Simulator(scene, twin.extra, twin.device) for scene in scenes),
             blocks,
             frozenset(sound),
-            contrast=Contrast.of(blocks) if against else None,
+            contrast=Contrast.of(blocks, 1e-3 * config.repeat) if against else None,
         )
 
     def mixed(self, values) -> np.ndarray:
@@ -137,9 +135,14 @@ class Forward:
 
         if self.contrast is None:
             return whole, draw
-        matrix = self.contrast.matrix
+        matrix, apart = self.contrast.matrix, self.contrast.set_up
         off = np.concatenate([b.data - b.means(p[None])[0] for b, p in zip(self.blocks, paths, strict=True)])
-        return matrix @ whole @ matrix.T + np.diag(self.contrast.repeats(off, np.diag(whole))), draw
+        repeats = self.contrast.repeats(off, np.diag(whole))
+
+        def repeated(random: np.random.Generator) -> np.ndarray:
+            return draw(random) + np.sqrt(repeats) * random.normal(size=len(repeats)) + apart @ random.normal(size=apart.shape[1])
+
+        return matrix @ whole @ matrix.T + np.diag(repeats) + apart @ apart.T, repeated
 
     @property
     def sds(self) -> np.ndarray:

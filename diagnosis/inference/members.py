@@ -73,19 +73,22 @@ def affordable(shift: np.ndarray, forward: Forward, config: DiagnosisConfig) -> 
 def ran(member: Member, forward: Forward, config: DiagnosisConfig) -> np.ndarray:
     """(B,) m, its block means; NaN where it diverged, or where no such body can be made."""
     try:
-        scenes = [scene_of(member, s.scene, one.observed(), config) for s, one in zip(forward.simulators, forward.recordings, strict=True)]
+        scenes: list[Scene] = []
+        for simulator, one in zip(forward.simulators, forward.recordings, strict=True):
+            scenes.append(scene_of(member, simulator.scene, one.observed(), config, like=scenes[0].body if scenes else None))
         other = forward.with_scenes(scenes, member.finer)
         return other.at(member.shift, member.values)[0]
     except ValueError:
         return np.full(len(forward.data), np.nan)
 
 
-def scene_of(member: Member, scene: Scene, recording: Observed, config: DiagnosisConfig) -> Scene:
+def scene_of(member: Member, scene: Scene, recording: Observed, config: DiagnosisConfig, *, like: Body | None = None) -> Scene:
     """Another body in hands that are told by part of their controllers, where these are no markers on it.
 
-    Raises ValueError where no such body can be made.
+    ``like``: the member's body in another recording, of the cells of which a solid is here too. Raises ValueError where no such body can be
+    made.
     """
-    body = _body(scene.body, recording, member, config)
+    body = like.laid(recording) if isinstance(like, Solid) else _body(scene.body, recording, member, config)
     if not config.dropped or (recording.grips >= 0).any():
         return replace(scene, body=body)
     random, kept = np.random.default_rng(member.seed), []

@@ -73,7 +73,8 @@ class Named:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """probabilities: of effects, given that one of them acts; ``parallel``: names that the recordings cannot tell from the first."""
+    """verdict: adequate, named, unknown, or unfounded where nothing says how far a sound twin is off; ``probabilities`` of effects, given
+    that one of them acts; ``parallel``: names that the recordings cannot tell from the first."""
 
     verdict: str
     test: Significance
@@ -136,7 +137,8 @@ def gathered(
     sd = np.where(layout.fitted, np.sqrt(np.diag(noise)), np.inf)
     both = np.concatenate([runs, forward.data[None]])
     left, settled = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
-    catalogue = signatures(forward, paths, reference, config)
+    heard = np.sqrt(np.diag(noise) + np.mean(left[:-1] ** 2, 0))
+    catalogue = signatures(forward, paths, reference, config, left[-1], heard)
     tell(f"signatures of {len(catalogue)} candidates")
     scatter = Scatter(left[:-1], noise, slopes, layout, 0.0 if against else 1e-3 * config.floor)
     posterior = forward.posterior(slopes)
@@ -151,16 +153,17 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     tell = progress or (lambda _: None)
     e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
     prior = chosen(scatter, config, e.noisy)
-    alone = len(e.forward.simulators) == 1 and not e.from_recordings  # as controls were
+    usual = e.forward.contrast is None and not e.from_recordings  # as controls were
     kind, marked = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
-    controls = Controls.of(kind, config, marked=marked) if alone else None
+    controls = Controls.of(kind, config, marked=marked, recordings=len(e.forward.simulators)) if usual else None
+    founded = not marked or controls is not None or e.from_recordings or bool(e.forward.sound)  # members tell nothing of markers
     test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls)
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
     rows = np.flatnonzero(layout.fitted)
     fitting = scatter.only(rows).likelihood(prior, parameters=False)
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
-    alarm = test.p < config.level
+    alarm = founded and test.p < config.level
     best, refits, chances = _best(test, e.catalogue), {}, _chances(test, e.catalogue, {})
     asked = list(best)[: config.refitted] if alarm else []
     while asked:
@@ -176,7 +179,7 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r in best]
     named = sorted((_named(e, s, r, sound, chances, p) for (s, r), p in zip(best, left, strict=True)), key=lambda n: -n.probability)
     confirmed = bool(named) and shortcoming(named[0], config.level) is None
-    verdict = "adequate" if not alarm else "named" if confirmed else "unknown"
+    verdict = "unfounded" if not founded else "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
     return Answer(
@@ -194,11 +197,21 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
 
 
 def _best(test: Significance, catalogue) -> dict[str, int]:
-    """By effect, the likeliest first, the index of its likeliest candidate by linear evidence."""
+    """By effect, the likeliest first, the index of its likeliest candidate by linear evidence; of places that explain as much, one where
+    less of it does."""
     found: dict[str, int] = {}
-    for k in np.argsort([-s.log_evidence for s in test.scores], kind="stable"):
-        found.setdefault(catalogue[k].name, int(k))
+    likely = [s.log_evidence for s in test.scores]
+    usual = [logs - _unusual(s, one) for logs, s, one in zip(likely, test.scores, catalogue, strict=True)]
+    for name in dict.fromkeys(catalogue[k].name for k in np.argsort(-np.array(likely), kind="stable")):
+        found[name] = max((k for k, one in enumerate(catalogue) if one.name == name), key=lambda k: usual[k])
     return found
+
+
+def _unusual(score, signature: Signature) -> float:
+    """Nats against an amount above what is noticeable: ten times as much is a standard deviation."""
+    amounts = np.abs(np.array(score.sizes) * signature.unit)
+    over = [np.log10(max(a / u.first, 1.0)) for a, u in zip(amounts, signature.candidate.effect.amounts, strict=True)]
+    return float(np.sum(np.square(over)) / 2)
 
 
 def _chances(test: Significance, catalogue, refits: Mapping[int, float]) -> dict[str, float]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from ...methods.continuum.bodies import Body
 from ...methods.farthest import farthest_points
 from ..config import DiagnosisConfig
 from ..effects import Candidate, effects
@@ -17,7 +19,6 @@ __all__ = ["Score", "Signature", "motion_of", "score", "scores", "signatures"]
 
 CELLS_IN_ONE = ("body", "velocity", "setup", "")  # stages whose laws cost little where they are at 0, asked in one system
 LEAST, MOST = 0.2, 5.0  # times the probing motion: outside of it a signature is measured again
-ALIKE = 0.01  # m, between the middles of a body in frame 0 of two recordings that begin alike
 PLACES = 16  # of the room, at most: as many runs
 EVERY = 4  # frames
 CLEAR, PASSED, APART = 0.047, 0.04, 0.03  # m: from the body in frame 0, from the way of hands, and between two places: an obstacle's radius
@@ -53,32 +54,80 @@ class Score:
     explains: float
 
 
-def signatures(forward: Forward, paths: Sequence[np.ndarray], reference, config: DiagnosisConfig) -> list[Signature]:
+def signatures(
+    forward: Forward, paths: Sequence[np.ndarray], reference, config: DiagnosisConfig, residual=None, sd=None
+) -> list[Signature]:
     """What each candidate that shows in the recordings does, beside the reference's ``paths``, R of (T, M, 3) m, and block means (B,) m.
 
-    By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Effects
-    that have a place on the body are asked only where all recordings begin with the body in one place, since places are those of frame 0.
+    By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Places on
+    the body are those of frame 0 of the first recording that is asked, and where they are in others follows from how the body lies there;
+    where that leaves a choice (``Body.ways``), it is made by ``residual`` (B,) m, of deviations ``sd`` (B,): see ``_turned``.
     """
     kind, asked_of = forward.simulators[0].scene.body.kind, forward.asked
     grounded = all(forward.simulators[r].scene.ground is not None for r in asked_of)
     places = forward.blocks[asked_of[0]].regions
     fitted = forward.layout.fitted
     passed = _passed(forward, paths[asked_of[0]], asked_of[0])
-    alike = all(np.linalg.norm(forward.blocks[r].regions.mean(0) - places.mean(0)) < ALIKE for r in asked_of)
-    asked = [e for e in effects(kind) if (grounded or not e.grounded) and (alike or not e.place)]
+    laid = _laid(forward)
+    asked = [e for e in effects(kind) if grounded or not e.grounded]
     groups: dict[str, list] = {}
     for effect in asked:
         groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
     found = []
     for group in groups.values():
-        plan = [(c, j) for e in group for c in e.candidates(passed if e.roaming else places) for j in range(len(e.amounts))]
-        columns = _measured(forward.with_effects(c for c, _ in plan), reference, plan, config)
+        plan = [(c, j) for e in group for c in e.candidates(passed if e.roaming else places, laid) for j in range(len(e.amounts))]
+        extended = forward.with_effects(c for c, _ in plan)
+        columns = _measured(extended, reference, plan, config)
+        if residual is not None:
+            plan, columns = _turned(extended, plan, columns, reference, config, np.where(fitted, residual, 0.0) / sd, sd)
         for candidate in dict.fromkeys(id(c) for c, _ in plan):
             own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
             moved = [k for k in own if np.isfinite(columns[k]).all() and motion_of(columns[k][fitted]) * abs(_most(plan[k])) > SMALLEST]
             if moved:
                 found.append(_scaled(_of_amounts(plan[own[0]][0], [plan[k][1] for k in moved]), columns[moved], config))
     return found
+
+
+def _laid(forward: Forward, turned: Sequence[int] = ()) -> dict:
+    """Where places on the body of the first recording that is asked are in the others, in those that are ``turned`` the second way."""
+    bodies = {r: forward.simulators[r].scene.body for r in forward.asked}
+    first = bodies.pop(forward.asked[0])
+    return {r: partial(_one_place, first, body, int(r in turned)) for r, body in bodies.items()}
+
+
+def _one_place(first: Body, other: Body, way: int, place) -> np.ndarray:
+    return first.elsewhere(other, np.asarray(place)[None], way)[0]
+
+
+def _turned(forward: Forward, plan, columns, reference, config: DiagnosisConfig, white, sd):
+    """``plan`` and ``columns`` with every recording laid the way by which a place explains more of it and the first one together.
+
+    A rope looks the same from both ends. ``white`` (B,) is what is to be explained, in deviations ``sd`` (B,) m.
+    """
+    able = [r for r in forward.asked[1:] if forward.simulators[r].scene.body.ways > 1]
+    placed = [k for k, (c, _) in enumerate(plan) if c.effect.place and not c.effect.roaming]
+    if not able or not placed:
+        return plan, columns
+    others = {id(plan[k][0]): replace(plan[k][0], laid=_laid(forward, able)) for k in placed}
+    second = columns.copy()
+    second[placed] = _measured(forward, reference, [(others[id(plan[k][0])], plan[k][1]) for k in placed], config)
+    record, turned = forward.layout.record, []
+    for r in able:
+        rows = np.isin(record, (forward.asked[0], r))
+        best = [max(_explained(own[k][rows], white[rows], sd[rows], plan[k]) for k in placed) for own in (columns, second)]
+        turned += [r] * (best[1] > best[0])
+    found = np.where(np.isin(record, turned), second, columns)
+    laid = _laid(forward, turned)
+    chosen = {key: replace(candidate, laid=laid) for key, candidate in others.items()}
+    return [(chosen.get(id(c), c), j) for c, j in plan], found
+
+
+def _explained(column, white, sd, entry) -> float:
+    """Squared deviations that the amount of ``entry`` takes from ``white`` (b,) by its ``column`` (b,) m."""
+    own, amount = column / sd, entry[0].effect.amounts[entry[1]]
+    along, square = float(own @ white), float(own @ own)
+    wrong = amount.one_sided and along * (amount.low + amount.high) < 0
+    return 0.0 if wrong or not square > 0 else along**2 / square
 
 
 def _passed(forward: Forward, path, record: int) -> np.ndarray:

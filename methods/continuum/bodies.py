@@ -13,6 +13,7 @@ from ...datasets.scenario import Observed
 from ...physics.points import Points
 from ...physics.system import System
 from ...physics.terms.base import Term
+from ..registration import align, rigid_transform
 from .body import SolidBody, body_of
 from .config import Config
 from .start import Speeds, start_velocity
@@ -64,6 +65,16 @@ class Body(ABC):
     @abstractmethod
     def laid(self, target: Observed) -> Body:
         """The same body in frame 0 of another recording, of which nothing later is looked at."""
+
+    ways: int = 1  # in which it may lie in another recording: a rope whose ends look alike, in two
+
+    def elsewhere(self, other: Body, places: np.ndarray, way: int = 0) -> np.ndarray:
+        """(P, 3) m, where ``places`` (P, 3) on the body in frame 0 are on it in another recording's, in which it was laid as ``other``."""
+        nodes, there = self.positions, other.positions
+        if nodes.shape != there.shape:
+            nodes, there = self.structure, align(self.structure, other.structure)
+        rotation, shift = rigid_transform(nodes, there)
+        return np.asarray(places) @ rotation.T + shift
 
     # ---------------------------------------------------------------- simulated
 

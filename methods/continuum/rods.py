@@ -29,6 +29,7 @@ from .unknowns import Unknown, rounded_up
 __all__ = ["Rod"]
 
 LINE_DENSITY = 1.0  # kg/m of every rope: without a told mass only ratios to it show in a motion
+FINE = 401  # places along a rope, of which one is nearest to a place on it
 GRAVITY = 9.81  # m/s^2, that makes lengths and rigidities comparable, wherever the rope is
 STRETCH = 0.002  # by which a rope hung up by one end is longer: less does not show, and asks for shorter steps
 RATTLE = 0.2  # damping ratio of a segment's stretch: its waves die out within a few segments
@@ -138,6 +139,23 @@ class Rod(Body):
         ways = [self.along(target, way, radius, len(self.strands.rest)) for way in (axis, axis[::-1])]
         found = max(ways, key=lambda way: abs(np.vdot(self.natural @ [1, 1j], way.natural @ [1, 1j])))
         return replace(found, natural=self.natural)
+
+    @property
+    def ways(self) -> int:
+        """Markers are told apart, ends of a filmed rope are not."""
+        return 1 if self.is_marked else 2
+
+    def elsewhere(self, other: Body, places: np.ndarray, way: int = 0) -> np.ndarray:
+        """As far along it, from the other end in the second of two ``ways``."""
+        assert isinstance(other, Rod)
+        if self.is_marked:
+            return other.strands.nodes[np.linalg.norm(self.strands.nodes - np.asarray(places)[:, None], axis=2).argmin(1)]
+        along, ends = (np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(r.strands.nodes, axis=0), axis=1))] for r in (self, other))
+        fine = np.linspace(0.0, 1.0, FINE)
+        axis = np.stack([np.interp(fine, along / along[-1], c) for c in self.strands.nodes.T], 1)
+        share = fine[np.linalg.norm(axis - np.asarray(places)[:, None], axis=2).argmin(1)]
+        share = 1 - share if way else share
+        return np.stack([np.interp(share, ends / ends[-1], c) for c in other.strands.nodes.T], 1)
 
     @property
     def is_marked(self) -> bool:

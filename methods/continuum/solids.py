@@ -88,10 +88,10 @@ class Solid(Body):
         Its cells then fit what is tracked and held there. Two clouds of a body differ by a millimetre or two, and so does a body that was
         laid by one into the other. One that was solved for an equilibrium keeps its rest shape, unless it is shaped otherwise there.
         """
-        outer = sum(self.counts[:2])
+        outer, same = sum(self.counts[:2]), self._as_it_lies(target)
         cloud = target.structure[: sum(target.counts[:2])]
-        laid = align(self.structure, cloud, surface=outer)
-        apart = np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2))
+        laid = align(self.structure, cloud, surface=outer) if same is None else same
+        apart = np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2)) if same is None else 0.0
         there = dict(structure=target.structure, counts=target.counts, weights=np.zeros((0, 4)))
         body: SolidBody | None = None
         alike = apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0))
@@ -105,6 +105,17 @@ class Solid(Body):
         assert body is not None and body.grid is not None  # made above unless the other one was taken
         notes = () if alike else ("its rest shape is taken from this recording: it is shaped otherwise there than where it was fitted",)
         return replace(self, grid=body.grid, surface=body.surface, area=body.area, notes=notes, equilibrium=None, **there)
+
+    def _as_it_lies(self, target: Observed) -> np.ndarray | None:
+        """(M, 3) m, its structure moved rigidly to where the same points of the target are, where at least half of them then coincide.
+
+        A lattice that markers place is one in all recordings, though a marker or two are elsewhere. Else None.
+        """
+        if target.structure.shape != self.structure.shape or target.counts != self.counts:
+            return None
+        rotation, shift = rigid_transform(self.structure, target.structure)
+        laid = self.structure @ rotation.T + shift
+        return laid if np.median(np.linalg.norm(laid - target.structure, axis=1)) < ONE else None
 
     # ---------------------------------------------------------------- under load in frame 0
 

@@ -85,7 +85,7 @@ class ContinuumTwin(Twin):
         first, body = target.until(1), self.scene.body
         start, contact = "frames" if target.observed_frames == 2 else "rest", "on" if self.scene.contact else "off"
         there = placed(first, body.laid(first), Config(start=start, contact=contact), target)
-        values = self.own_values | self._grips(there)
+        values = self.own_values | self._grips(there) | self._places(there)
         if "grip_rate" in values and self.scene.soft and there.soft:
             values["grip_rate"] = self._as_stiff(there, values)
         if target.timed:
@@ -108,6 +108,17 @@ class ContinuumTwin(Twin):
             found[f"grip{k}_reach"] = float(np.clip(typical / radius, 1 / REACH, REACH))
             moved = out * there.body.outward(place.mean(0))
             found |= {f"grip{k}_shift_{axis}": float(v) for axis, v in zip("xyz", moved, strict=True)}
+        return found
+
+    def _places(self, there: Scene) -> dict[str, float]:
+        """Where on the body its further terms act, in another recording's frame 0."""
+        found = {}
+        for term in self.extra:
+            told = term.effect
+            names = [f"{told.place}_{axis}" for axis in "xyz"] if told and told.place and not told.roaming else []
+            if names and set(names) <= set(self.values):
+                place = np.array([[self.values[name] for name in names]])
+                found |= dict(zip(names, map(float, self.scene.body.elsewhere(there.body, place)[0]), strict=True))
         return found
 
     def _as_stiff(self, there: Scene, values) -> float:

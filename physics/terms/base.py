@@ -31,6 +31,7 @@ class Effect:
     shapes      values to try of the other parameters, by name
     place       prefix of parameters ``<place>_x, _y, _z`` [m] that say where on the body (frame 0) or in the room it is, or ""
     within      the name of the parameter that says how far around ``place`` it reaches [m], or ""
+    roaming     whether ``place`` is one of the room, which the body passes, and not on the body
     motion      what to record in order to see it
     """
 
@@ -41,6 +42,7 @@ class Effect:
     shapes: dict[str, tuple[float, ...]] = field(default_factory=dict)
     place: str = ""
     within: str = ""
+    roaming: bool = False
     motion: str = ""
 
 

@@ -57,6 +57,7 @@ class HiddenObstacle(BodyTerm):
         shapes={"obstacle_radius": (0.03, 0.08)},
         place="obstacle",
         within="obstacle_radius",
+        roaming=True,
         motion="passing the place from two sides",
     )
 

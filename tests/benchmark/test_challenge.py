@@ -7,13 +7,14 @@ import json
 import os
 import pickle
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from challenges import MANY, TINY, drawn, republish, spoil, with_fakes, without_simulators
 from twinbench.benchmark.challenge import answering
-from twinbench.benchmark.challenge.answering import answer_set, take_answers
+from twinbench.benchmark.challenge.answering import _given, answer_set, take_answers
 from twinbench.benchmark.challenge.opening import open_set, opened_labels
 from twinbench.benchmark.challenge.scoring import score_set
 from twinbench.benchmark.cli import main
@@ -161,6 +162,24 @@ def test_the_same_seed_is_the_same_set_to_the_last_byte(tmp_path):
     assert one == again and one["root"] != other["root"]
     assert folder_digest(tmp_path / "a" / "cases") == folder_digest(tmp_path / "b" / "cases")
     assert len(one["cases"]) == 9 and one["undrawn"] == 0  # 3 controls, 2 effects x 2 levels, 1 outside, 1 pair
+
+
+def test_cases_may_have_several_recordings_to_fit(tmp_path, monkeypatch):
+    # every third case has three, whatever it is of; all are in its hash, entrants get them in order, and other presets stay as they were
+    several = replace(TINY, recordings=(1, 1, 3))
+    found = make(tmp_path, preset=several, seed="x", engines=("mujoco",))
+    folder = Folder(tmp_path)
+    parts = [sorted(p.name for p in (folder.cases / name).iterdir()) for name in found["cases"]]
+    one, three = ["fit", "transfer"], ["fit", "fit_2", "fit_3", "transfer"]
+    assert parts == [three if k % 3 == 2 else one for k in range(len(parts))]
+    given = _given(folder.cases / "case_002", "quick", "cpu")
+    assert [r.session for r in (given.fit, *given.more)] == ["case_002_fit", "case_002_fit_2", "case_002_fit_3"]
+    shutil.rmtree(folder.cases / "case_002" / "fit_3")
+    with pytest.raises(ValueError, match="case_002: is not what was published"):
+        folder.check_recordings("case_002", folder.published())
+    plain = make(tmp_path / "plain", preset=TINY, seed="x", engines=("mujoco",))
+    assert plain["seed"] == found["seed"] and plain["cases"]["case_000"] == found["cases"]["case_000"]
+    assert "recordings" not in json.dumps(read_json(Folder(tmp_path / "plain").kept / "plan.json"))
 
 
 @pytest.mark.slow

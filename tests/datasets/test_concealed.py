@@ -673,6 +673,21 @@ def test_a_pair_has_both_effects_as_they_are_alone():
     assert frames >= 1 and still[frames] < 0.003
 
 
+@pytest.mark.slow
+def test_further_recordings_are_of_the_same_body_with_the_same_thing_concealed():
+    # of a cord in a tilted gravity: the first two recordings are those of a case of one, further ones are other interactions of the same
+    # object, whose shape in frame 0 differs by noise alone
+    one, many = (build("effect", "gravity_tilt", "rope", seed=5, recordings=n) for n in (1, 3))
+    assert list(one.parts) == ["fit", "transfer"] and list(many.parts) == ["fit", "fit_2", "fit_3", "transfer"]
+    np.testing.assert_array_equal(one.fit.points, many.fit.points)
+    np.testing.assert_array_equal(one.transfer.points, many.transfer.points)
+    assert one.label["parameters"] == many.label["parameters"] and len(many.label["interactions"]) == 4
+    for further in many.more:
+        assert not np.array_equal(further.controllers[:5], many.fit.controllers[:5])
+        sizes = [np.ptp(r.points[0][r.visible[0]], axis=0).max() for r in (many.fit, further)]
+        assert sizes[1] == pytest.approx(sizes[0], rel=0.1)
+
+
 @pytest.mark.parametrize("like", ["friction_law", "torsion"])
 def test_a_control_is_filmed_in_the_interactions_of_an_effect(like):
     rng = np.random.default_rng(0)

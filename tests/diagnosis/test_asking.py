@@ -52,6 +52,7 @@ def test_what_does_not_suit_is_refused_by_name():
         with pytest.raises(ValueError, match=said):
             suitable(recordings, transfer)
     suitable([one, block("second", seed=1)])
+    suitable([one, replace(one, name="tilted", gravity=one.gravity + [1.0, 0, 0])])  # under another gravity it is another recording
 
 
 def test_few_points_or_frames_are_refused():
@@ -111,6 +112,7 @@ def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, 
     [
         (answer(), "adequate", ()),
         (answer(sizes=(30.0, 40.0, 2.0)), "cannot_tell", ()),  # half of the effects could be 20 mm large
+        (answer("unfounded"), "cannot_tell", ()),  # nothing says how far a sound twin is off
         (answer(held_out=0.001), "cannot_tell", ()),  # fitted frames say sound, those held out do not
         (answer("unknown"), "unknown", ()),
         (answer("named"), "missing", ("wind",)),

@@ -10,7 +10,7 @@ from twinbench.diagnosis.asking import ask
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.inference.blocks import Blocks
-from twinbench.diagnosis.inference.contrast import Contrast, comparable
+from twinbench.diagnosis.inference.contrast import Contrast, comparable, until
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.scene import Scene
@@ -70,7 +70,7 @@ def test_noise_is_that_of_both(twin, recording):
     one, other = recording("one"), recording("other", seed=1)
     forward = Forward.of(twin, [one, other], CONFIG, (1,), against=True)
     paths = [p[0] for p in forward.paths([TRUE])]
-    both = np.diag(forward.noise(paths)[0])
+    both = np.diag(forward.noise(paths)[0]) - 2 * (1e-3 * CONFIG.repeat) ** 2
     each = [np.diag(Forward.of(twin, [r], CONFIG).noise([p])[0]) for r, p in zip((one, other), paths, strict=True)]
     assert both.mean() == pytest.approx(each[0].mean() + each[1].mean(), rel=0.25)
 
@@ -84,6 +84,33 @@ def test_what_repeats_differ_by_is_noise(recording):
     found = contrast.repeats(off, np.full(len(off), 1e-6))
     assert found == pytest.approx(np.full(len(found), 1.5 * 7e-6))
     assert not Contrast.of(blocks[:2]).repeats(off, off).any()
+
+
+def test_beside_one_sound_recording_a_body_is_set_up_anew(twin, recording):
+    # each place and component is off by a normal number of 1 mm all the time, and by another in each bin: variances of 2 mm^2, covariances
+    # of 1 mm^2 at any two times of a place
+    bare, told = (
+        Forward.of(twin, [recording("one"), recording("other", seed=1)], replace(CONFIG, repeat=r), (1,), against=True) for r in (0.0, 1.0)
+    )
+    paths = [p[0] for p in told.paths([TRUE])]
+    added = 1e6 * (told.noise(paths)[0] - bare.noise(paths)[0])
+    layout = told.layout
+    alike = (np.linalg.norm(layout.place[:, None] - layout.place, axis=2) < 1e-9) & (layout.axis[:, None] == layout.axis)
+    np.testing.assert_allclose(added, alike + np.eye(len(alike)), atol=1e-9)
+    draw, random = told.noise(paths)[1], np.random.default_rng(0)
+    draws = np.array([draw(random) for _ in range(4000)])
+    assert np.cov(draws.T) * 1e6 == pytest.approx(1e6 * told.noise(paths)[0], abs=0.4)  # 4000 draws: 4 standard errors of 3 mm^2 are 0.27
+
+
+def test_what_sound_recordings_differ_by_is_drawn_as_well(twin, recording):
+    one, others = recording("one"), [recording(name, seed=k) for k, name in enumerate("ab", 1)]
+    others[1] = replace(others[1], points=others[1].points + [0, 0, 4e-3])
+    forward = Forward.of(twin, [one, *others], CONFIG, (1, 2), against=True)
+    paths = [p[0] for p in forward.paths([TRUE])]
+    whole, draw = forward.noise(paths)
+    random = np.random.default_rng(0)
+    draws = np.array([draw(random) for _ in range(2000)])
+    assert draws.var(0).mean() == pytest.approx(np.diag(whole).mean(), rel=0.1)  # of 2000 a variance is known to 3 %
 
 
 @pytest.mark.parametrize(
@@ -110,6 +137,9 @@ def test_a_longer_sound_recording_is_cut_and_a_shorter_one_refused(recording):
     assert cut.frame_count == FRAMES - 1 and cut.split == shorter.split
     with pytest.raises(ValueError, match=f"as long as the one that it is compared with, {FRAMES} frames, got {FRAMES - 1}"):
         comparable(one, shorter)
+    kept = until(one, [shorter])  # so the one that is asked is cut first, and as large a share of it fitted
+    assert kept.frame_count == FRAMES - 1 and kept.split.train_end == round(12 * (FRAMES - 1) / FRAMES)
+    assert until(shorter, [one]) is shorter
 
 
 @pytest.mark.slow

@@ -71,6 +71,20 @@ def test_sound_rows_are_frozen_and_used_for_their_kind_and_config_alone(tmp_path
     assert Controls.of("rope", replace(config, level=0.02)) is None  # of 40, one is more than 2 %
 
 
+def test_several_recordings_are_judged_by_as_many_or_fewer(tmp_path, monkeypatch):
+    # of a rope there are controls of one recording, of two and too few of four: three are judged by those of two, as are eight
+    tables = []
+    for count, rows in ((1, 40), (2, 50), (4, 20)):
+        (folder := tmp_path / str(count)).mkdir()
+        tables.append(table(folder, rows, recordings=count))
+    known = frozen(tables, DiagnosisConfig(members=12))
+    monkeypatch.setattr(controls, "_known", lambda: known)
+    config = DiagnosisConfig(members=12)
+    found = [len(Controls.of("rope", config, recordings=n).standardised) for n in (1, 2, 3, 4, 8)]
+    assert found == [40, 50, 50, 50, 50]
+    assert Controls.of("solid", config, recordings=2) is None
+
+
 def test_what_a_twin_leaves_of_the_motion_counts_where_it_was_frozen(tmp_path):
     # markers on a rope: 7 % of the motion is usual (a logarithm of -2.7, 0.4 around it); with all of it left, a recording is no sound one
     # though its members, spread as wildly, take it for one of them

@@ -10,7 +10,6 @@ from twinbench.diagnosis.asking import ask, asked
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.inference.blocks import Blocks, is_marked
 from twinbench.diagnosis.inference.peers import FEWEST, compared, there
-from twinbench.diagnosis.suitable import suitable
 from twinbench.methods.continuum.rods import Rod
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
@@ -113,20 +112,30 @@ def test_where_it_is_laid_it_starts_as_the_recording_does(twin, sound):
         there(replace(twin, posterior=own), sound[3])
 
 
-def test_what_cannot_be_compared_is_refused(twin, sound, monkeypatch):
+def test_what_cannot_be_compared_is_refused(twin, sound):
     case = recording(25)
     assert is_marked(case, CONFIG)
     with pytest.raises(ValueError, match=rf"at least {FEWEST} recordings .* got 7 \(scenario swing25\)"):
         compared(twin, case, sound[:7], CONFIG)
     with pytest.raises(ValueError, match=r"markers are asked one recording at a time, got 2 \(scenario swing25\)"):
         ask([case, sound[3]], fitted_on=sound[:1], config=CONFIG)
-    suitable([case])  # frozen sound cables say how far a twin is off
-    monkeypatch.setattr("twinbench.diagnosis.inference.controls._known", lambda: {"config": {}, "kinds": {}})
-    with pytest.raises(ValueError, match=r"markers on a rope are asked beside recordings in which nothing is missing .*swing25"):
-        suitable([case])
     with pytest.raises(ValueError, match="at least 3 markers seen in frame 0 that no hand drives, got 2"):
         ask([replace(case, grips=np.arange(7), controllers=case.points[:, :7])], fitted_on=sound, config=CONFIG)
     first = {name: getattr(sound[0], name)[:30] for name in ("points", "visible", "motion_valid", "controllers")}
     short = replace(sound[0], **first, split=Split(20, 30))
     with pytest.raises(ValueError, match=r"as long as the one that it is compared with, 36 frames, got 30 \(scenario swing0\)"):
         compared(twin, case, [short, *sound[1:]], CONFIG)
+
+
+def test_of_markers_that_no_control_knows_nothing_can_be_told(twin, monkeypatch):
+    # no frozen cables, no other recording: the analysis is made, what would be detectable is said, and the verdict is neither of two
+    monkeypatch.setattr("twinbench.diagnosis.inference.controls._known", lambda: {"config": {"members": 99}, "kinds": {}})
+    found = ask([recording(25)], config=CONFIG).result
+    assert (found["verdict"], found["effect"], found["alternatives"]) == ("cannot_tell", None, [])
+    assert "--against" in found["why"] and found["test"]["controls"] == 0
+
+
+def test_beside_few_sound_recordings_markers_are_asked_by_members(sound):
+    # fewer than FEWEST are no sample; the twin is fitted to them alone all the same, and has nothing to say of the recording that is asked
+    found = ask([recording(25)], fitted_on=sound[:1], config=CONFIG)
+    assert found.result["test"]["members"] == CONFIG.members and found.result["verdict"] in ("adequate", "cannot_tell")

@@ -25,7 +25,7 @@ def filmed(name, rng, *, frames=12, moved=0.0):
     return Scenario(name=name, points=points, visible=there, motion_valid=there, controllers=points[:, :3] + 0.01, **about)
 
 
-def drawn(kind, name, body, *, seed, clear, like, engine, solids="tetrahedra", thin="coarse"):
+def drawn(kind, name, body, *, seed, clear, like, engine, solids="tetrahedra", thin="coarse", recordings=1):
     """What ``build`` does, at no cost; a torn body cannot be drawn as a cloth."""
     if name == "tearing" and body == "cloth":
         raise RuntimeError("no tearing of a cloth")
@@ -34,7 +34,9 @@ def drawn(kind, name, body, *, seed, clear, like, engine, solids="tetrahedra", t
     size = 0.0 if kind == "control" else 0.05
     label = {"kind": kind, "effect": None if kind == "control" else name, "control": name if kind == "control" else None, "object": body}
     label |= {"displacement": size, "place": [None, None], "onset": [0, 0], "parameters": {"seed": seed}}
-    return Case(filmed("fit", rng, frames=frames, moved=size), filmed("transfer", rng, frames=frames, moved=size), label)
+    pair = [filmed(part, rng, frames=frames, moved=size) for part in ("fit", "transfer")]
+    more = tuple(filmed(f"fit_{k}", rng, frames=frames, moved=size) for k in range(2, recordings + 1))
+    return Case(*pair, label | {"interactions": ["lift"] * (1 + recordings)}, more=more)
 
 
 class InThisProcess:

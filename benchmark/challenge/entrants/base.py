@@ -24,13 +24,14 @@ __all__ = ["Entrant", "Given", "answer", "mean_of", "one_hot", "parts_of", "task
 
 @dataclass
 class Given:
-    """A case as all entrants get it: two recordings of one object, no label.
+    """A case as all entrants get it: recordings of one object, no label; ``more`` are such that may be fitted as ``fit`` may.
 
     The diagnosis is worked out once, when it is first asked for, and shared by all that build on it.
     """
 
     fit: Scenario
     transfer: Scenario
+    more: tuple[Scenario, ...] = ()
     preset: str = "quick"
     device: str = "cpu"
     label: Mapping | None = field(default=None)  # only for those who are told

@@ -7,7 +7,8 @@ __all__ = ["ENTRANT", "Continuum"]
 
 
 class Continuum(Entrant):
-    """``twinbench diagnose``, as it ships: of solids and ropes that are tracked all over a continuum is asked, of the rest springs."""
+    """``twinbench diagnose``, as it ships: of several recordings, and of solids and ropes that are tracked all over, a continuum is asked,
+    of the rest springs."""
 
     name = "continuum"
 
@@ -15,9 +16,9 @@ class Continuum(Entrant):
         from ....diagnosis.diagnose import diagnose
         from ....diagnosis.suitable import has_continuum
 
-        if not has_continuum(given.fit):
+        if not given.more and not has_continuum(given.fit):
             return plain(given.diagnosis.result)
-        found = diagnose(given.fit, twin="continuum", transfer=[given.transfer], preset=given.preset, device=given.device)
+        found = diagnose([given.fit, *given.more], twin="continuum", transfer=[given.transfer], preset=given.preset, device=given.device)
         return plain(found.result)
 
 

@@ -122,6 +122,18 @@ def test_a_body_is_told_by_the_frame_0_in_which_it_is_placed():
     np.testing.assert_allclose(pdist(laid.positions), pdist(body.grid.positions), atol=1e-12)
 
 
+def test_a_lattice_in_which_a_marker_is_elsewhere_has_the_same_cells():
+    # three tracked points of a block are 3 mm aside, all others coincide after a turn: the same body, moved rigidly, though clouds differ
+    home, body = lifted(), Solid.told(lifted(), body_of(lifted(), kind="solid", pitch=0.02))
+    turn = Rotation.from_rotvec([0.1, 0.02, -0.3])
+    points = home.points.copy()
+    points[:, :3] += [0, 3e-3, 0]
+    there = replace(home, points=turn.apply(points.reshape(-1, 3)).reshape(points.shape), interior=turn.apply(np.array(home.interior)))
+    laid = body.laid(there).grid
+    np.testing.assert_array_equal(laid.volume, body.grid.volume)
+    np.testing.assert_allclose(laid.positions, turn.apply(np.array(body.grid.positions)), atol=1e-3)
+
+
 def test_values_of_a_recording_are_those_of_its_own_hands():
     values = dict(youngs_modulus=1.0, rec0_grip0_reach=2.0, rec1_grip0_reach=3.0)
     assert own_values(values, 1) == dict(youngs_modulus=1.0, grip0_reach=3.0)
