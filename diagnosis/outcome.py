@@ -28,7 +28,8 @@ __all__ = ["Outcome", "chance_of_sound", "verdict_of"]
 SCHEMA = 2
 NORMAL90 = 1.645  # standard deviations on either side of a normal 90 % interval
 UNFOUNDED = (
-    "How far a sound twin is off markers on such a body is told by recordings in which nothing is missing alone (--fitted-on, --against)."
+    "How far a sound twin of such a body is off is told by no stored recordings, and by other twins alone it was never told well: "
+    "recordings of the same command (--against) would tell it."
 )
 READINGS = 0.9  # names are readings until they have this much of the probability together, were one of them true
 

@@ -104,6 +104,11 @@ class Controls:
                 return cls(np.array([row["standardised"] for row in own], float))
         return None
 
+    @staticmethod
+    def known(kind: str, *, marked: bool = False) -> bool:
+        """Whether there are frozen controls of a kind of body at all, however they were weighed."""
+        return bool(_known()["kinds"].get(MARKED + kind if marked else kind))
+
     @cached_property
     def tails(self) -> tuple[Tail, ...]:
         return tuple(Tail.of(values) for values in self.standardised.T)

@@ -23,6 +23,7 @@ from .significance import Significance, fitted_rows, significance, unexplained
 
 __all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "shortcoming", "weighed"]
 
+WORSE = 15.0  # nats by which the linear evidence of a second place may be less
 MOST = 2  # times ``config.refitted`` candidates that are refitted while one that was not is the likeliest
 
 
@@ -156,7 +157,7 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     usual = e.forward.contrast is None and not e.from_recordings  # as controls were
     kind, marked = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
     controls = Controls.of(kind, config, marked=marked, recordings=len(e.forward.simulators)) if usual else None
-    founded = not marked or controls is not None or e.from_recordings or bool(e.forward.sound)  # members tell nothing of markers
+    founded = Controls.known(kind, marked=marked) or e.from_recordings or e.forward.contrast is not None  # members alone are no null
     test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls)
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
     rows = np.flatnonzero(layout.fitted)
@@ -164,17 +165,18 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
     alarm = founded and test.p < config.level
-    best, refits, chances = _best(test, e.catalogue), {}, _chances(test, e.catalogue, {})
-    asked = list(best)[: config.refitted] if alarm else []
+    likely, refits, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
+    asked = list(likely)[: config.refitted] if alarm else []
     while asked:
         for name in asked:
-            refits[name] = refitted(*common, e.catalogue[best[name]], config)
-        gains = {best[name]: found.log_evidence - sound.log_evidence for name, found in refits.items()}
+            found = {k: refitted(*common, e.catalogue[k], config) for k in likely[name]}
+            refits[name] = max(found.items(), key=lambda one: one[1].log_evidence)
+        gains = {k: found.log_evidence - sound.log_evidence for k, found in refits.values()}
         chances = _chances(test, e.catalogue, gains)
         likeliest = next(iter(chances))  # where refits were worse than their linear evidence, it may be one that was not refitted
         asked = [likeliest] if likeliest not in refits and len(refits) < MOST * config.refitted else []
     tell(f"{len(refits)} candidates refitted")
-    best = [(e.catalogue[best[name]], found) for name, found in refits.items()]
+    best = [(e.catalogue[k], found) for k, found in refits.values()]
     whole, seen = scatter.only(rows).likelihood(prior), (e.forward.data[rows], e.forward.motion[rows])
     left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r in best]
     named = sorted((_named(e, s, r, sound, chances, p) for (s, r), p in zip(best, left, strict=True)), key=lambda n: -n.probability)
@@ -196,15 +198,26 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
     )
 
 
-def _best(test: Significance, catalogue) -> dict[str, int]:
+def _likely(test: Significance, catalogue, config: DiagnosisConfig) -> dict[str, list[int]]:
     """By effect, the likeliest first, the index of its likeliest candidate by linear evidence; of places that explain as much, one where
-    less of it does."""
-    found: dict[str, int] = {}
+    less of it does. Where it has a place, the likeliest elsewhere is a second one, since a little of an effect may not be told by what
+    much of it does: a weight on the tip of a beam bends it as ten times as much does beside the clamp, and swings otherwise."""
+    found: dict[str, list[int]] = {}
     likely = [s.log_evidence for s in test.scores]
-    usual = [logs - _unusual(s, one) for logs, s, one in zip(likely, test.scores, catalogue, strict=True)]
+    usual = np.array([logs - _unusual(s, one) for logs, s, one in zip(likely, test.scores, catalogue, strict=True)])
     for name in dict.fromkeys(catalogue[k].name for k in np.argsort(-np.array(likely), kind="stable")):
-        found[name] = max((k for k, one in enumerate(catalogue) if one.name == name), key=lambda k: usual[k])
+        own = sorted((k for k, one in enumerate(catalogue) if one.name == name), key=lambda k: -usual[k])
+        elsewhere = [k for k in own[1:] if usual[k] > usual[own[0]] - WORSE and _apart(catalogue[k], catalogue[own[0]]) > config.astray]
+        found[name] = [own[0], *elsewhere[:1]]
     return found
+
+
+def _apart(one: Signature, other: Signature) -> float:
+    """Half of the way between the places of two candidates on the body [mm], as far as the refits of both may go to meet; 0 without."""
+    places = [s.candidate.place for s in (one, other)]
+    if one.candidate.effect.roaming or places[0] is None or places[1] is None:
+        return 0.0
+    return 500 * float(np.linalg.norm(places[0] - places[1]))
 
 
 def _unusual(score, signature: Signature) -> float:

@@ -112,3 +112,9 @@ def test_a_table_that_tells_nothing_is_refused(tmp_path):
     pd.read_csv(path).drop(columns="kind").to_csv(path, index=False)
     with pytest.raises(ValueError, match=r"table.csv: .* columns"):
         frozen([path], DiagnosisConfig())
+
+
+def test_kinds_that_nothing_is_known_of():
+    # as controls.json ships: no sheet and no markers on a solid was ever weighed, so that members alone would have to say how far twins are off
+    assert [Controls.known(kind) for kind in ("rope", "solid", "sheet")] == [True, True, False]
+    assert [Controls.known(kind, marked=True) for kind in ("rope", "solid")] == [True, False]

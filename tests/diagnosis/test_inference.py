@@ -14,7 +14,7 @@ from twinbench.diagnosis.inference.budget import budget, detectable
 from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
-from twinbench.diagnosis.inference.phases import _best, _chances
+from twinbench.diagnosis.inference.phases import _chances, _likely
 from twinbench.diagnosis.inference.refit import gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
@@ -367,13 +367,19 @@ def test_slopes_are_corrected_by_steps_and_not_by_rounding():
 def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
     # two candidates of 30 and 28 nats, the first of which a refit leaves 5: the other has 3, and log((e^5 + e^3) / 2) is less than 10
     scored = [Score(name, 3.0, log, (1.0,), 0.5) for name, log in (("a", 30.0), ("a", 28.0), ("b", 10.0))]
-    effect = SimpleNamespace(amounts=(Amount("much", 0.1, 0.0, 10.0, "-"),))
-    catalogue = [SimpleNamespace(name=s.name, unit=np.array([0.1]), candidate=SimpleNamespace(effect=effect)) for s in scored]
+    effect = SimpleNamespace(amounts=(Amount("much", 0.1, 0.0, 10.0, "-"),), roaming=False)
+    alike = [SimpleNamespace(effect=effect, place=None) for _ in scored]
+    catalogue = [SimpleNamespace(name=s.name, unit=np.array([0.1]), candidate=c) for s, c in zip(scored, alike, strict=True)]
     test = SimpleNamespace(scores=scored)
-    assert next(iter(_chances(test, catalogue, {}))) == "a" and _best(test, catalogue) == {"a": 0, "b": 2}
+    assert next(iter(_chances(test, catalogue, {}))) == "a" and _likely(test, catalogue, DiagnosisConfig()) == {"a": [0], "b": [2]}
     # where the first needs a thousand times what is noticeable, three deviations of ten, the other explains as much: 30 - 9 / 2 < 28
     catalogue[0].unit = np.array([100.0])
-    assert _best(test, catalogue) == {"a": 1, "b": 2}
+    assert _likely(test, catalogue, DiagnosisConfig()) == {"a": [1], "b": [2]}
+    # and where both have a place, farther apart than refits of either would go, both are refitted
+    for far, expected in ((0.02, [1]), (0.2, [1, 0])):
+        for k in range(2):
+            catalogue[k].candidate.place = np.array([k * far, 0.0, 0.0])
+        assert _likely(test, catalogue, DiagnosisConfig())["a"] == expected
     found = _chances(test, catalogue, {0: 5.0})
     ratio = (np.exp(5) + np.exp(3)) / 2 / np.exp(10)
     assert list(found) == ["b", "a"] and found["a"] == pytest.approx(ratio / (1 + ratio))

@@ -132,7 +132,7 @@ def test_of_markers_that_no_control_knows_nothing_can_be_told(twin, monkeypatch)
     monkeypatch.setattr("twinbench.diagnosis.inference.controls._known", lambda: {"config": {"members": 99}, "kinds": {}})
     found = ask([recording(25)], config=CONFIG).result
     assert (found["verdict"], found["effect"], found["alternatives"]) == ("cannot_tell", None, [])
-    assert "--against" in found["why"] and found["test"]["controls"] == 0
+    assert "no stored recordings" in found["why"] and found["test"]["controls"] == 0
 
 
 def test_beside_few_sound_recordings_markers_are_asked_by_members(sound):
