@@ -1,12 +1,14 @@
 """The inference on a small block: block means and their noise, members that are other bodies, an effect that is put in and found."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from blocks import FRAMES, TRUE, recorded, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
+from twinbench.diagnosis.inference import scan
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import affordable, drawn, ran
@@ -141,3 +143,39 @@ def test_effects_act_in_recordings_that_are_not_known_to_be_sound(twin, recordin
     (first, second), (still, alone) = moved
     assert np.abs(first).max() > 1e-4 and not still.any()
     np.testing.assert_array_equal(alone, second)
+
+
+def test_a_place_is_looked_for_on_the_body_in_each_recording(twin, recording):
+    # the second recording is the first, 20 cm aside: a weight on the same part of the body does the same there, at the moved place
+    aside = np.array([0.2, 0.0, 0.0])
+    moved = {name: getattr(recording, name) + aside for name in ("points", "controllers", "interior")}
+    forward = Forward.of(twin, [recording, replace(recording, name="aside", **moved)], CONFIG)
+    paths, reference = forward.reference()
+    found = [s for s in signatures(forward, paths, reference, CONFIG) if s.name == "added_mass"]
+    assert len(found) == len(forward.blocks[0].regions)
+    half = len(found[0].columns) // 2
+    for one in found:
+        values = one.candidate.values([0.1])
+        there = np.array([values[f"rec1_added_mass_{a}"] for a in "xyz"])
+        np.testing.assert_allclose(there, one.candidate.place + aside, atol=NOISE)  # by noisy points the second body is laid
+        own, other = one.columns[:half, 0], one.columns[half:, 0]
+        assert own @ other > 0.99 * np.linalg.norm(own) * np.linalg.norm(other)  # laid a millimetre aside, in cells of 2 cm
+
+
+def test_the_end_of_a_rope_is_the_one_that_explains_more(monkeypatch):
+    # two recordings of four numbers; what a place does in the second, laid the first way, is 1, and the other way -1, as was seen
+    forward = SimpleNamespace(
+        asked=[0, 1],
+        layout=SimpleNamespace(record=np.array([0, 0, 1, 1])),
+        simulators=[SimpleNamespace(scene=SimpleNamespace(body=SimpleNamespace(ways=2)))] * 2,
+    )
+    weight = next(e for e in effects("rope") if e.name == "added_mass")
+    plan = [(c, 0) for c in weight.candidates(np.zeros((1, 3)))]
+    first, other = np.array([[1.0, 1, 1, 1]]), np.array([[1.0, 1, -1, -1]])
+    monkeypatch.setattr(scan, "_measured", lambda *given: other)
+    for seen, expected in ((first, first), (other, other)):
+        turned, columns = scan._turned(forward, plan, first.copy(), np.zeros(4), CONFIG, seen[0], np.ones(4))
+        np.testing.assert_array_equal(columns, expected)
+        assert turned[0][0].laid[1].args[2] == int(seen is other)
+    alone = SimpleNamespace(**vars(forward) | {"asked": [0]})  # of one recording there is nothing to turn
+    np.testing.assert_array_equal(scan._turned(alone, plan, first, np.zeros(4), CONFIG, other[0], np.ones(4))[1], first)

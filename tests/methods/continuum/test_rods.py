@@ -180,6 +180,23 @@ def test_another_axis_of_a_filmed_rope_is_told_by_some_of_its_points():
 TRUE = dict(bending_stiffness=0.02, bending_time=0.02, torsion_ratio=0.7, drag_damping=0.3, natural_a0=1.5)
 
 
+def test_a_place_on_a_rope_is_as_far_along_it_elsewhere():
+    # from (0.1, 0, 0) along a straight metre to a quarter circle of a metre: at an angle of 0.1 m / (2 / pi m), or from its other end
+    cloud = np.zeros((1, 3))
+    one = Rod.along(_seen(cloud), np.stack([np.linspace(0, 1, 50), *np.zeros((2, 50))], 1), 0.005, 40)
+    angle = np.linspace(0, np.pi / 2, 200)
+    arc = 2 / np.pi * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
+    other = Rod.along(_seen(cloud), arc, 0.005, 40)
+    there = [one.elsewhere(other, np.array([[0.1, 0.004, 0.0]]), way)[0] for way in range(one.ways)]
+    expected = [2 / np.pi * np.array([np.cos(a), np.sin(a), 0.0]) for a in (0.1 * np.pi / 2, 0.9 * np.pi / 2)]
+    np.testing.assert_allclose(there, expected, atol=2e-3)  # 401 places along it are 2.5 mm apart
+
+
+def _seen(cloud):
+    seen = np.ones((1, len(cloud)), bool)
+    return Observed(name="rope", points=cloud[None], visible=seen, motion_valid=seen, controllers=np.zeros((1, 0, 3)))
+
+
 def swung(frames=40, seed=0, noise=2e-4):
     """A cable between two robots, one of which swings it; its own engine's motion with jitter of 0.2 mm."""
     count, fps = 9, 60.0

@@ -15,6 +15,7 @@ from twinbench.methods.continuum.sights import Sight, jitter
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.solids import Solid
 from twinbench.methods.continuum.twin import ContinuumTwin
+from twinbench.physics.terms import AddedMass, HiddenObstacle
 
 TRUE = dict(youngs_modulus=8e3, damping_time=0.01)
 
@@ -132,6 +133,23 @@ def test_a_lattice_in_which_a_marker_is_elsewhere_has_the_same_cells():
     laid = body.laid(there).grid
     np.testing.assert_array_equal(laid.volume, body.grid.volume)
     np.testing.assert_allclose(laid.positions, turn.apply(np.array(body.grid.positions)), atol=1e-3)
+
+
+def test_what_acts_at_a_place_on_the_body_goes_with_it_and_what_is_in_the_room_stays():
+    home, told = lifted(), body_of(lifted(), kind="solid", pitch=0.02)
+    weight = {f"added_mass_{a}": v for a, v in zip("xyz", (0.1, 0.02, 0.015), strict=True)}
+    ball = {f"obstacle_{a}": v for a, v in zip("xyz", (0.0, 0.0, 0.2), strict=True)}
+    twin = ContinuumTwin(Scene.of(home, Solid.told(home, told)), TRUE | weight | ball, (AddedMass(), HiddenObstacle()))
+    turn, shift = Rotation.from_rotvec([0, 0, 0.5]), np.array([0.3, -0.1, 0.0])
+
+    def moved(points):
+        return turn.apply(np.array(points).reshape(-1, 3)).reshape(np.shape(points)) + shift
+
+    there = replace(home, points=moved(home.points), interior=moved(home.interior), controllers=moved(home.controllers))
+    values = twin.retarget(there).values
+    expected = turn.apply([0.1, 0.02, 0.015]) + shift
+    np.testing.assert_allclose([values[f"added_mass_{a}"] for a in "xyz"], expected, atol=1e-6)
+    assert {name: values[name] for name in ball} == ball
 
 
 def test_values_of_a_recording_are_those_of_its_own_hands():
