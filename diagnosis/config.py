@@ -12,6 +12,8 @@ class DiagnosisConfig:
     """What is chosen, not measured. Lengths in mm, times in s.
 
     level       false alarms among sound recordings: 3 %, so that the best of a hundred controls still tells 0 from 9 of them
+    wandering   p below which tracks are said to wander, of which no twin is asked: nine in ten within five times the median are none.
+                Chosen by looking at 80 sound ropes, four with drifting tracks and a crushed box, see results/inference.md
     regions     of a body, whose tracks are averaged: 10 regions x 8 times x 3 components are 240 numbers, as many as a covariance of 300
                 takes in a few milliseconds, and fewer than the independent motions of a body of 50 cells
     times       bins of the fitted frames, a quarter of a second or less each in a recording of 2 s
@@ -52,6 +54,7 @@ class DiagnosisConfig:
     """
 
     level: float = 0.03
+    wandering: float = 1e-5
     regions: int = 10
     times: int = 8
     held_out: int = 3

@@ -17,6 +17,7 @@ from .effects import effects
 from .experiment import proposed
 from .inference.phases import Answer, Evidence, Named, shortcoming
 from .inference.planning import Plan
+from .inference.wander import Wander
 from .keeping import write_tracks, write_twins
 from .motions import figures
 from .page.document import plain
@@ -25,6 +26,7 @@ from .report import write_report
 
 __all__ = ["Outcome", "chance_of_sound", "verdict_of"]
 
+DRIFT = "track_drift"
 SCHEMA = 2
 NORMAL90 = 1.645  # standard deviations on either side of a normal 90 % interval
 UNFOUNDED = (
@@ -50,7 +52,8 @@ class Outcome:
         and the ``plan`` of what to record next."""
         answer, forward = found.answer, found.evidence.forward
         verdict, names = verdict_of(answer, config)
-        first = answer.named[0] if names else None
+        first = answer.named[0] if names and names[0] != DRIFT else None
+        lost = _lost(answer, config) if DRIFT in names else None
         floor = float(np.mean([_floor(one) for one, role in parts if role == "case"]))
         result = {
             "schema": SCHEMA,
@@ -58,12 +61,12 @@ class Outcome:
             "verdict": verdict,
             "effect": names[0] if names else None,
             "alternatives": list(names[1:]),
-            "probabilities": _probabilities(answer, verdict),
+            "probabilities": _probabilities(answer, verdict, lost),
             "why": _why_open(answer, verdict, config),
             "test": _test(answer, found.evidence, config),
-            "where": _where(first, forward.simulators[0].scene.body.structure),
-            "when": {"frames": [0, parts[0][0].frame_count]} if first else None,
-            "parameters": _parameters(first),
+            "where": _where(first, forward.simulators[0].scene.body.structure) if first else _where_lost(lost, parts[0][0]),
+            "when": {"frames": [0, parts[0][0].frame_count]} if names else None,
+            "parameters": _parameters(first) | _how_lost(lost),
             "fit": _errors(parts, runs, floor),
             "budget": [asdict(b) | {"recording": parts[b.record][0].name} for b in answer.budget],
             "detectable": _detectable(answer, found.evidence, "amount"),
@@ -99,8 +102,12 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
     """(one of ``page.words.VERDICTS``, the names that it rests on, best first).
 
     Where a sound twin explains the fitted frames, the body is adequate only if the frames held out say so as well, and if at least half of
-    the effects asked would have been found at ``config.motion`` mm; otherwise nothing can be told.
+    the effects asked would have been found at ``config.motion`` mm; otherwise nothing can be told. Tracks that wander are a fault of the
+    measurement, and whether anything else is missing they do not let be seen unless it has a name.
     """
+    drift = (DRIFT,) if _lost(answer, config) else ()
+    if drift and answer.verdict != "named":
+        return "measurement", drift
     if answer.verdict == "adequate":
         return ("cannot_tell" if _why_undecided(answer, config) else "adequate"), ()
     if answer.verdict == "unfounded":
@@ -113,10 +120,34 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
         if share < READINGS:
             readings.append(name)
         share += chance
-    others = [n for n in dict.fromkeys([*answer.parallel, *readings]) if n != first.name]
+    others = [n for n in dict.fromkeys([*answer.parallel, *readings, *drift]) if n != first.name]
     if others:
         return "ambiguous", (first.name, *others)
     return ("measurement" if kinds[first.name] == "measurement" else "missing"), (first.name,)
+
+
+def _lost(answer: Answer, config: DiagnosisConfig) -> Wander | None:
+    """Of the recordings that were asked, the one whose tracks wander the most, if any do; the least of their p has to be paid for."""
+    worst = min(answer.wandering, key=lambda one: one.p, default=None)
+    return worst if worst and len(answer.wandering) * worst.p < config.wandering else None
+
+
+def _where_lost(lost: Wander | None, recording: Scenario) -> dict | None:
+    """The tracks that wander, where they are in frame 0."""
+    if lost is None or not len(lost.tracks):
+        return None
+    places = recording.points[0, lost.tracks]
+    centroid = places.mean(0)
+    radius = float(np.linalg.norm(places - centroid, axis=1).max())
+    return {"points": lost.tracks.tolist(), "centroid": centroid.tolist(), "radius": radius}
+
+
+def _how_lost(lost: Wander | None) -> dict:
+    if lost is None:
+        return {}
+    far = float(np.nanmedian(lost.far[lost.tracks])) if len(lost.tracks) else 0.0
+    values = {"track_drift": (far, "m"), "track_drift_share": (len(lost.tracks) / len(lost.far), "-")}
+    return {name: {"value": value, "unit": unit, "interval90": None} for name, (value, unit) in values.items()}
 
 
 def _why_undecided(answer: Answer, config: DiagnosisConfig) -> str | None:
@@ -150,7 +181,10 @@ def chance_of_sound(p: float) -> float:
     return float(odds / (1 + odds))
 
 
-def _probabilities(answer: Answer, verdict: str) -> dict:
+def _probabilities(answer: Answer, verdict: str, lost: Wander | None) -> dict:
+    if lost and answer.verdict != "named":
+        sound = chance_of_sound(lost.p)
+        return {"adequate": round(sound, 4), DRIFT: round(1 - sound, 4), "unknown": 0.0}
     sound = chance_of_sound(answer.test.p)
     shares = {} if verdict in ("unknown", "adequate", "cannot_tell") else answer.probabilities
     found = {"adequate": sound} | {name: (1 - sound) * share for name, share in shares.items()}
@@ -278,6 +312,9 @@ def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:
     beside = f"{members} recordings in which nothing is missing" if found.evidence.from_recordings else f"{members} sound twins"
     said = [f"The twin that was questioned is a {body}, in {cells:g} times the method's cells, beside {beside}."]
     said.append(f"p = {answer.test.p:.2g} that a sound twin's error looks like this (level {config.level:g}); {answer.runs} roll-outs.")
+    if lost := _lost(answer, config):
+        moved = 1e3 * np.nanmedian(lost.far[lost.tracks])
+        said.append(f"{len(lost.tracks)} of {len(lost.far)} tracks leave their neighbours, by {moved:.0f} mm (p = {lost.p:.2g}).")
     if answer.verdict == "adequate":
         said.append("Effects below the sizes listed as detectable may still be there.")
     return said + ([found.twin.note] if found.twin.note else [])

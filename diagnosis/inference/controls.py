@@ -32,6 +32,7 @@ DEGREES = (2.0, 3.0, 4.0, 6.0, 10.0, 30.0)  # of freedom: 2 has no variance, 30 
 STEPS = 100  # of expectation and maximisation: the slowest moves by less than 1e-6 then
 DECIDING = (
     "level",
+    "wandering",
     "motion",
     "repeat",
     "refitted",
@@ -53,12 +54,12 @@ class Tail:
     degrees: float
 
     @classmethod
-    def of(cls, values) -> Tail:
-        """The likeliest of ``values`` (n,), by expectation and maximisation for each of ``DEGREES``."""
+    def of(cls, values, degrees: Sequence[float] = DEGREES) -> Tail:
+        """The likeliest of ``values`` (n,), by expectation and maximisation for each of some ``degrees``."""
         from scipy.stats import t
 
         values = np.asarray(values, float)
-        found = [_located(values, degrees) for degrees in DEGREES]
+        found = [_located(values, one) for one in degrees]
         return max(found, key=lambda one: float(t.logpdf(values, one.degrees, one.place, one.scale).sum()))
 
     def beyond(self, value: float) -> float:

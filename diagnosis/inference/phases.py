@@ -20,6 +20,7 @@ from .members import Member, drawn, ran
 from .refit import Gain, Refit, gained, refitted
 from .scan import Signature, signatures
 from .significance import Significance, fitted_rows, significance, unexplained
+from .wander import Wander, wander
 
 __all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "shortcoming", "weighed"]
 
@@ -75,7 +76,8 @@ class Named:
 @dataclass(frozen=True, eq=False)
 class Answer:
     """verdict: adequate, named, unknown, or unfounded where nothing says how far a sound twin is off; ``probabilities`` of effects, given
-    that one of them acts; ``parallel``: names that the recordings cannot tell from the first."""
+    that one of them acts; ``parallel``: names that the recordings cannot tell from the first; ``wandering``: how far tracks stray in each
+    recording that is asked, none of markers."""
 
     verdict: str
     test: Significance
@@ -87,6 +89,7 @@ class Answer:
     budget: tuple[Budget, ...]
     runs: int
     seconds: float
+    wandering: tuple[Wander, ...] = ()
 
 
 def infer(
@@ -195,6 +198,7 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
         tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change)),
         e.forward.cost.runs,
         e.forward.cost.seconds,
+        () if marked else tuple(wander(e.forward.recordings[r], kind) for r in e.forward.asked),
     )
 
 

@@ -104,7 +104,9 @@ def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, 
     named = [SimpleNamespace(name=name) for name in kinds]
     chances = {name: 1.0 for name in kinds[:1]} if chances is None else chances
     test = SimpleNamespace(p=0.5, p_held_out=held_out)
-    return SimpleNamespace(verdict=verdict, test=test, detectable=found, named=named, probabilities=chances, parallel=parallel)
+    return SimpleNamespace(
+        verdict=verdict, test=test, detectable=found, named=named, probabilities=chances, parallel=parallel, wandering=()
+    )
 
 
 @pytest.mark.parametrize(
