@@ -81,19 +81,19 @@ def asked(
     """All that is found out from train frames (and, as a check on what they named, the frames held out) of ``recordings`` of one object.
 
     In ``fitted_on`` nothing is missing: all of their frames are fitted with the others', and effects act in the others alone. So it is in
-    ``against``, which had the command of the one recording that is asked: how far it differs from them is asked then. Of markers on a
-    cable the twin is fitted to ``fitted_on`` alone, and what it misses there tells how far it is off (``inference.peers``).
+    ``against``, which had the command of the one recording that is asked: how far it differs from them is asked then. Of markers the twin
+    is fitted to these alone, and of ``inference.peers.FEWEST`` and more what it misses there tells how far it is off.
     twin: one that was fitted so before, which is not fitted again.
     """
     progress("fitting a sound twin")
     known = [comparable(recordings[0], one) for one in against] or [_whole(one) for one in fitted_on]
-    if known and is_marked(recordings[0], config):
-        twin = there(twin or sound_twin([_whole(one) for one in known], config, seed=seed, device=device), recordings[0])
-    if len(fitted_on) >= FEWEST and is_marked(recordings[0], config):
+    everything, marked = [*recordings, *known], is_marked(recordings[0], config)
+    apart = marked and bool(known)  # what markers miss beside sound ones is told by a twin of these alone
+    twin = twin or sound_twin([_whole(one) for one in known] if apart else everything, config, seed=seed, device=device)
+    twin = there(twin, recordings[0]) if apart else twin
+    if marked and len(fitted_on) >= FEWEST:
         evidence = compared(twin, recordings[0], fitted_on, config, progress=progress)
     else:
-        everything = [*recordings, *known]
-        twin = twin or sound_twin(everything, config, seed=seed, device=device)
         sound = range(len(recordings), len(everything))
         evidence = gathered(twin, everything, config, sound=sound, against=bool(against), seed=seed, progress=progress)
     answer = weighed(evidence, config, progress=progress)
