@@ -153,25 +153,33 @@ class Open:
 
 @dataclass(frozen=True)
 class Score:
-    """Score the answers to an opened set: alarms, names, power, place, onset, amplitude, gain, calibration, with intervals."""
+    """Score the answers to an opened set: alarms, names, power, place, onset, amplitude, gain, calibration, with intervals.
 
-    folder: Set
-    """Folder of the set."""
+    A large test can be made, answered and opened in parts, each a set with a seed of its own, and scored as one.
+    """
+
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR [DIR ...]")]
+    """Folder of the set, or of several."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Folder for score.md, score.csv and score.json. Default: score in the folder of the set."""
+    """Folder for score.md, score.csv and score.json. Default: score in the folder of the set; several need one."""
     head: Annotated[str | None, arg(metavar="HASH")] = None
     """The last head of the ledger that was published: refuses to score where entries up to it were cut off or written anew."""
 
     def __call__(self) -> int:
         from ...datasets.concealed.folder import Folder
         from ..options import writable
-        from .history import history
+        from .history import histories, history
         from .scoring import score_set, terminal, write_scores
 
-        found = history(Folder(self.folder), self.head)
-        scored = score_set(self.folder)
+        if not self.folders:
+            raise ValueError("the folder of a set must be given")
+        if len(self.folders) > 1 and (self.out is None or self.head):
+            raise ValueError("several sets are scored into a folder of their own: give --out, and --head for one set alone")
+        folders = [Folder(path) for path in self.folders]
+        found = histories(folders) if len(folders) > 1 else history(folders[0], self.head)
+        scored = score_set(*self.folders)
         print(terminal(scored, found))
-        out = writable(self.out or self.folder / "score")
+        out = writable(self.out or self.folders[0] / "score")
         print(f"\nWritten to {out}: {', '.join(file.name for file in write_scores(scored, found, out))}")
         return 0
 

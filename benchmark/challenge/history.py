@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -10,7 +11,7 @@ from ...datasets.concealed.folder import Folder
 from ...datasets.concealed.seal import HASH, digest
 from .book import Answers, entrants_of
 
-__all__ = ["History", "history"]
+__all__ = ["History", "histories", "history"]
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,13 @@ def history(folder: Folder, published: str | None = None) -> History:
     if folder.ledger.unfinished:
         notes.append("the last line is half-written, by a process that was killed or by who cut it; the next entry takes its place")
     return History(entries[-1]["hash"], len(entries), (*notes, *_copies(folder)))
+
+
+def histories(folders: Sequence[Folder]) -> History:
+    """Those of several sets: what was found in each, by its name."""
+    found = {folder.root.resolve().name: history(folder) for folder in folders}
+    notes = tuple(f"{name}: {note}" for name, one in found.items() for note in one.notes)
+    return History(", ".join(one.head for one in found.values()), sum(one.entries for one in found.values()), notes)
 
 
 def _time(entry):

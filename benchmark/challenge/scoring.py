@@ -45,29 +45,59 @@ COMPARED = {
 Scored = Mapping[str, tuple[dict, list[Row], list[Figure]]]
 
 
-def score_set(root: str | Path) -> Scored:
+def score_set(root: str | Path, *more: str | Path) -> Scored:
     """By entrant: its standing (see ``judged``), a row for every case, its figures; neither where its answers are gone or not trusted.
 
     Labels and answers are checked once more. A case without an answer, or with one that is not what was sealed or says nothing sensible,
-    counts as one that refused. Raises ValueError where the set is still sealed or not what was published, or nothing was answered.
+    counts as one that refused. Of several sets, made and answered one after the other, all cases count as those of one, named SET/CASE.
+    Raises ValueError where a set is still sealed or not what was published, where nothing was answered, or where two have one name.
     """
-    folder = Folder(Path(root))
+    folders = [Folder(Path(one)) for one in (root, *more)]
+    sets = dict(zip((f"{folder.root.resolve().name}/" for folder in folders), map(_answered, folders), strict=True))
+    if len(sets) < len(folders):
+        raise ValueError(f"sets that are scored together must have names of their own, got {', '.join(str(f.root) for f in folders)}")
+    if len(sets) == 1:
+        sets = {"": next(iter(sets.values()))}
+    names = list(dict.fromkeys(name for _, found in sets.values() for name in found))
+
+    def said(name) -> dict[str, dict]:
+        """Its answers to all cases; none where those to one set are gone or not trusted."""
+        own = {prefix: found[name][1] for prefix, (_, found) in sets.items() if name in found}
+        if any(answers is None for answers in own.values()):
+            return {}
+        return {prefix + case: one.plain() for prefix, answers in own.items() for case, one in (answers or {}).items()}
+
+    told = said(CEILING) if CEILING in names else {}
+
+    def rows(answers):
+        labels = {prefix + case: label for prefix, (labels, _) in sets.items() for case, label in labels.items()}
+        return [Row(case, label, answers.get(case, FAILED), told.get(case)) for case, label in labels.items()]
+
+    judge = rows(next((said(name) for name in JUDGES if name in names and said(name)), {}))
+    scored = {}
+    for name in names:
+        answers = said(name)
+        own = with_floors(rows(answers), judge) if answers else []
+        scored[name] = _standing([found[name][0] for _, found in sets.values() if name in found]), own, figures(own) if own else []
+    return scored
+
+
+def _answered(folder: Folder):
+    """(labels by case, by entrant its standing and answers) of an opened set."""
     labels = opened_labels(folder)
     found = {name: judged(folder, name) for name in entrants_of(folder)}
     if not found:
         raise ValueError(f"{folder.root}: nobody has answered; twinbench challenge answer {folder.root}")
-    said = {name: {case: one.plain() for case, one in answers.items()} for name, (_, answers) in found.items() if answers is not None}
-    told = said.get(CEILING, {})
+    return labels, found
 
-    def rows(answers):
-        return [Row(name, label, answers.get(name, FAILED), told.get(name)) for name, label in labels.items()]
 
-    judge = rows(next((said[name] for name in JUDGES if name in said), {}))
-    scored = {}
-    for name, (status, _) in found.items():
-        own = with_floors(rows(said[name]), judge) if name in said else []
-        scored[name] = status, own, figures(own) if own else []
-    return scored
+def _standing(own: Sequence[dict]) -> dict:
+    """Of one entrant in several sets: what it is in all of them, and why it is not in some."""
+    if len(own) == 1:
+        return own[0]
+    why = [str(one["why"]) for one in own if "why" in one]
+    whole = {"status": " / ".join(dict.fromkeys(one["status"] for one in own)), "answers": sum(one["answers"] for one in own)}
+    return whole | ({"why": "; ".join(dict.fromkeys(why))} if why else {})
 
 
 def compared(scored: Scored) -> Grid:

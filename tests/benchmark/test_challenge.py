@@ -451,6 +451,29 @@ def test_opening_is_written_down_and_what_comes_later_is_exploratory(challenge):
     assert (status["status"], status["why"]) == ("exploratory", "the set had been opened before these answers were sealed")
 
 
+def test_a_test_in_parts_is_scored_as_one(tmp_path, entrants, capsys):
+    # two sets of one preset, each sealed, answered and opened by itself; who answered one alone has refused in the other
+    for part, names in (("one", ("guess", "broken")), ("two", ("guess",))):
+        make(tmp_path / part, preset=TINY, seed=part, engines=("mujoco",))
+        answer_set(tmp_path / part, names=names)
+        open_set(tmp_path / part)
+    parts = [tmp_path / part for part in ("one", "two")]
+    scored, alone = score_set(*parts), [score_set(part) for part in parts]
+    rows = scored["guess"][1]
+    assert [r.name for r in rows] == [f"{p.name}/{r.name}" for p, s in zip(parts, alone, strict=True) for r in s["guess"][1]]
+    assert [r.said for r in rows] == [r.said for s in alone for r in s["guess"][1]]
+    false = next(f for f in scored["guess"][2] if f.name == "false alarms")
+    assert false.cases == 6 and false.value == np.mean([r.alarm for r in rows if r.kind == "control"])
+    assert scored["guess"][0]["answers"] == 18 and scored["broken"][0]["answers"] == alone[0]["broken"][0]["answers"]
+    assert [r.verdict for r in scored["broken"][1]][9:] == ["failed"] * 9
+    with pytest.raises(ValueError, match="names of their own"):
+        score_set(parts[0], parts[0])
+    assert main(["challenge", "score", *map(str, parts)]) == 2 and "give --out" in capsys.readouterr().err
+    assert main(["challenge", "score", *map(str, parts), "--out", str(tmp_path / "whole")]) == 0
+    told = json.loads((tmp_path / "whole" / "score.json").read_text())
+    assert len({case["case"] for case in told["cases"]}) == 18 and told["ledger"]["entries"] == 3 + 3 + 1
+
+
 @pytest.mark.parametrize("late", [False, True])
 def test_only_the_frozen_tool_is_tested(tmp_path, entrants, late, monkeypatch):
     commit = "c" * 40
