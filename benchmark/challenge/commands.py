@@ -179,7 +179,7 @@ class Score:
         found = histories(folders) if len(folders) > 1 else history(folders[0], self.head)
         scored = score_set(*self.folders)
         print(terminal(scored, found))
-        out = writable(self.out or self.folders[0] / "score")
+        out = writable(self.out or folders[0].root / "score")
         print(f"\nWritten to {out}: {', '.join(file.name for file in write_scores(scored, found, out))}")
         return 0
 
