@@ -9,7 +9,7 @@ import pytest
 from blocks import FRAMES, lifted, recorded
 from twinbench.benchmark.challenge.schema import Answer
 from twinbench.datasets.scenario import Split
-from twinbench.diagnosis.asking import ask
+from twinbench.diagnosis.asking import ask, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
 from twinbench.diagnosis.diagnosed import extend
@@ -53,6 +53,14 @@ def test_what_does_not_suit_is_refused_by_name():
             suitable(recordings, transfer)
     suitable([one, block("second", seed=1)])
     suitable([one, replace(one, name="tilted", gravity=one.gravity + [1.0, 0, 0])])  # under another gravity it is another recording
+
+
+def test_as_many_recordings_are_fitted_as_are_asked(monkeypatch):
+    # a fit of a solid takes three at most unless it is told otherwise, of which the numbers of hands would be taken for those of others
+    told = []
+    monkeypatch.setattr(Continuum, "fitted", lambda self, observed, config, **more: told.append((len(observed), config.recordings)))
+    sound_twin([block(f"take {k}", seed=k) for k in range(5)], CONFIG)
+    assert told == [(5, 5)]
 
 
 def test_few_points_or_frames_are_refused():
