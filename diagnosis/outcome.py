@@ -54,6 +54,7 @@ class Outcome:
         verdict, names = verdict_of(answer, config)
         first = answer.named[0] if names and names[0] != DRIFT else None
         lost = _lost(answer, config) if DRIFT in names else None
+        here = lost if answer.wandering and lost is answer.wandering[0] else None  # tracks of another recording have other numbers
         floor = float(np.mean([_floor(one) for one, role in parts if role == "case"]))
         result = {
             "schema": SCHEMA,
@@ -64,7 +65,7 @@ class Outcome:
             "probabilities": _probabilities(answer, verdict, lost),
             "why": _why_open(answer, verdict, config),
             "test": _test(answer, found.evidence, config),
-            "where": _where(first, forward.simulators[0].scene.body.structure) if first else _where_lost(lost, parts[0][0]),
+            "where": _where(first, forward.simulators[0].scene.body.structure) if first else _where_lost(here, parts[0][0]),
             "when": {"frames": [0, parts[0][0].frame_count]} if names else None,
             "parameters": _parameters(first) | _how_lost(lost),
             "fit": _errors(parts, runs, floor),

@@ -60,23 +60,23 @@ def score_set(root: str | Path, *more: str | Path) -> Scored:
         sets = {"": next(iter(sets.values()))}
     names = list(dict.fromkeys(name for _, found in sets.values() for name in found))
 
-    def said(name) -> dict[str, dict]:
+    def answered(name) -> dict[str, dict]:
         """Its answers to all cases; none where those to one set are gone or not trusted."""
         own = {prefix: found[name][1] for prefix, (_, found) in sets.items() if name in found}
         if any(answers is None for answers in own.values()):
             return {}
         return {prefix + case: one.plain() for prefix, answers in own.items() for case, one in (answers or {}).items()}
 
-    told = said(CEILING) if CEILING in names else {}
+    said = {name: answered(name) for name in names}
+    told = said.get(CEILING, {})
 
     def rows(answers):
         labels = {prefix + case: label for prefix, (labels, _) in sets.items() for case, label in labels.items()}
         return [Row(case, label, answers.get(case, FAILED), told.get(case)) for case, label in labels.items()]
 
-    judge = rows(next((said(name) for name in JUDGES if name in names and said(name)), {}))
+    judge = rows(next((said[name] for name in JUDGES if said.get(name)), {}))
     scored = {}
-    for name in names:
-        answers = said(name)
+    for name, answers in said.items():
         own = with_floors(rows(answers), judge) if answers else []
         scored[name] = _standing([found[name][0] for _, found in sets.values() if name in found]), own, figures(own) if own else []
     return scored

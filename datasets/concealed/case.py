@@ -46,7 +46,7 @@ class Case:
     @property
     def parts(self) -> dict[str, Scenario]:
         """All recordings by the names of their folders: fit, fit_2, ..., transfer."""
-        return {"fit": self.fit, **{f"fit_{k}": one for k, one in enumerate(self.more, 2)}, "transfer": self.transfer}
+        return {"fit": self.fit, **dict(zip(_named(self.more), self.more, strict=True)), "transfer": self.transfer}
 
 
 # Hard controls: nothing is missing, but something is harder than usual.

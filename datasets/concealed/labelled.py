@@ -21,7 +21,7 @@ from .case import CLEAR, CONTROLS, build
 from .convergence import refinement
 from .effects import EFFECTS, OUTSIDE
 from .engines import ENGINES, require
-from .make import write_pair
+from .make import write_recordings
 
 LABELS = "labels.json"
 TRUTH = "truth"  # beside the cases, a file for each: ``Case.truth``
@@ -52,7 +52,7 @@ def make(out: Path, index: int, kind: str, name: str, body: str, seed: int, pair
     interactions = tuple(pairs[index % len(pairs)].split(":")) if pairs else ()
     own = int(np.random.default_rng([seed, 1, index]).integers(2**31))
     case = build(kind, name, body, seed=own, interactions=interactions, **how)
-    write_pair(case, folder, index)
+    write_recordings(case, folder, index)
     (out / TRUTH).mkdir(exist_ok=True)
     np.savez_compressed(out / TRUTH / f"{folder.name}.npz", **case.truth)
     label = case.label | refinement(body, how["engine"], meshing(body, how["solids"], how["thin"]), case.label["interactions"])

@@ -26,13 +26,13 @@ from .folder import Folder
 from .plan import PRESETS, Entry, Preset, entropy, plan
 from .seal import digest, folder_digest, read_json, salt_of, sealed, write_json
 
-__all__ = ["make", "write_pair"]
+__all__ = ["make", "write_recordings"]
 
 TRIES = 2  # bodies in turn in which a size is looked for, and as many again in which any clear size will do
 WHEN = 1e9  # of all files [s since 1970]: when something was written says how long it took
 
 
-def write_pair(case: Case, folder: Path, index: int) -> None:
+def write_recordings(case: Case, folder: Path, index: int) -> None:
     """Write all recordings of a case as ``folder``; nothing in them says what they are but that they belong together.
 
     What a killed run left there goes, and what it left half-written beside them too.
@@ -140,7 +140,7 @@ def _one(folder: Folder, name: str, index: int, entry: Entry, seed: str, engines
         except RuntimeError as reason:
             reasons.append(str(reason))
             continue
-        write_pair(case, folder.cases / name, index)
+        write_recordings(case, folder.cases / name, index)
         frames = [len(case.fit.points), len(case.transfer.points), *(len(one.points) for one in case.more)]
         label = case.label | {"level": level, "like": entry.like or None, "simulated_by": by, "frames": frames}
         if meshes != (Preset.solids, Preset.thin):  # labels of sets that are sealed already stay as they were published

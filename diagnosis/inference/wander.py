@@ -20,6 +20,7 @@ from ...datasets.collection import open_collection
 from ...datasets.scenario import Observed, Scenario
 from ...datasets.temporary import replacing
 from ...methods.continuum.bodies import bodies_of
+from ..sightings import where_unseen
 from .controls import Tail
 
 __all__ = ["FILE", "Wander", "main", "strayed", "wander"]
@@ -66,16 +67,10 @@ def strayed(recording: Observed) -> np.ndarray:
     beside = begun[cKDTree(points[0, begun]).query(points[0, begun], k=BESIDE + 1)[1][:, 1:]]
     frames = len(points)
     parts = points[: max(1, round(BEGIN * frames))], points[-max(1, round(END * frames)) :]
-    with np.errstate(all="ignore"):
-        first, last = (_median(np.linalg.norm(p[:, begun, None] - p[:, beside], axis=3)) for p in parts)
-        found[begun] = _median(np.abs(last - first).T)
+    with where_unseen():
+        first, last = (np.nanmedian(np.linalg.norm(p[:, begun, None] - p[:, beside], axis=3), axis=0) for p in parts)
+        found[begun] = np.nanmedian(np.abs(last - first), axis=1)
     return found
-
-
-def _median(values) -> np.ndarray:
-    """Over the first axis, of what is finite; NaN where nothing is."""
-    empty = ~np.isfinite(values).any(0)
-    return np.where(empty, np.nan, np.nanmedian(np.where(empty, 0.0, values), axis=0))
 
 
 def _statistic(far) -> float:

@@ -150,12 +150,8 @@ class Rod(Body):
         assert isinstance(other, Rod)
         if self.is_marked:
             return other.strands.nodes[np.linalg.norm(self.strands.nodes - np.asarray(places)[:, None], axis=2).argmin(1)]
-        along, ends = (np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(r.strands.nodes, axis=0), axis=1))] for r in (self, other))
-        fine = np.linspace(0.0, 1.0, FINE)
-        axis = np.stack([np.interp(fine, along / along[-1], c) for c in self.strands.nodes.T], 1)
-        share = fine[np.linalg.norm(axis - np.asarray(places)[:, None], axis=2).argmin(1)]
-        share = 1 - share if way else share
-        return np.stack([np.interp(share, ends / ends[-1], c) for c in other.strands.nodes.T], 1)
+        axis, there = (resampled(r.strands.nodes, FINE) for r in (self, other))
+        return (there[::-1] if way else there)[np.linalg.norm(axis - np.asarray(places)[:, None], axis=2).argmin(1)]
 
     @property
     def is_marked(self) -> bool:

@@ -88,10 +88,11 @@ class Solid(Body):
         Its cells then fit what is tracked and held there. Two clouds of a body differ by a millimetre or two, and so does a body that was
         laid by one into the other. One that was solved for an equilibrium keeps its rest shape, unless it is shaped otherwise there.
         """
-        outer, same = sum(self.counts[:2]), self._as_it_lies(target)
+        outer, apart = sum(self.counts[:2]), 0.0
         cloud = target.structure[: sum(target.counts[:2])]
-        laid = align(self.structure, cloud, surface=outer) if same is None else same
-        apart = np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2)) if same is None else 0.0
+        if (laid := self._as_it_lies(target)) is None:
+            laid = align(self.structure, cloud, surface=outer)
+            apart = float(np.sqrt(np.mean(_nearest(laid[:outer], cloud) ** 2)))
         there = dict(structure=target.structure, counts=target.counts, weights=np.zeros((0, 4)))
         body: SolidBody | None = None
         alike = apart < ALIKE * np.linalg.norm(np.ptp(cloud, axis=0))
