@@ -37,6 +37,9 @@ class Make(OnCluster):
     """Simulators to take the cases from, of each body in equal shares: mujoco, finite, cosserat (ropes), newton (others). Default: all."""
     recordings: Annotated[tuple[int, ...], arg(metavar="INT ...")] = ()
     """How many recordings of a case may be fitted, in turn: 1 1 8 gives every third case eight. Default: as the preset has it, one."""
+    counts: Annotated[tuple[int, int, int, int] | None, arg(metavar="CONTROLS EFFECTS OUTSIDE PAIRS")] = None
+    """How many sound cases, effects (each in every size of the preset), cases outside the catalogue and pairs, as for a part of a test.
+    Default: as the preset has it."""
     jobs: int | None = None
     """Cases that are made at the same time. Default: one; on a cluster, as many as it allows."""
 
@@ -65,16 +68,22 @@ class Make(OnCluster):
         return 0
 
     def _preset(self):
-        """The preset's name, or what it says with other ``recordings``."""
+        """The preset's name, or what it says with other ``recordings`` or ``counts``."""
         from ...datasets.concealed.plan import PRESETS
         from ..options import known
 
-        if not self.recordings:
+        other: dict[str, Any] = {"recordings": self.recordings} if self.recordings else {}
+        if self.counts is not None:
+            other |= dict(zip(("controls", "effects", "outside", "pairs"), self.counts, strict=True))
+        if not other:
             return self.preset
         known("preset", [self.preset], PRESETS)
-        if min(self.recordings) < 1:
+        if self.recordings and min(self.recordings) < 1:
             raise ValueError(f"--recordings must be at least 1, got {min(self.recordings)}")
-        return replace(PRESETS[self.preset], recordings=self.recordings)
+        if self.counts is not None and (min(self.counts) < 0 or not sum(self.counts[1:3])):
+            got = " ".join(map(str, self.counts))
+            raise ValueError(f"--counts must have an effect or a case outside, whose motions sound cases share; got {got}")
+        return replace(PRESETS[self.preset], **other)
 
 
 @dataclass(frozen=True)

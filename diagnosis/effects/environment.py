@@ -6,6 +6,7 @@ from .effect import Amount, Effect
 __all__ = ["EFFECTS"]
 
 ALL = ("solid", "rope", "sheet")
+GROUND = {"ground_raise": 1e-3, "ground_tilt_a": 5e-3, "ground_tilt_b": 5e-3}
 
 EFFECTS = (
     Effect.of_term("environment", terms.Wind, ALL, shapes={"wind_speed": (2.0, 4.0)}),
@@ -14,7 +15,7 @@ EFFECTS = (
     Effect.of_term("environment", terms.AddedMass, ALL, shapes={"added_mass_within": (0.03,)}),
     Effect.of_term("contact", terms.HiddenTether, ALL, shapes={"tether_within": (0.03,), "tether_length": (0.03,)}),
     Effect.of_term("contact", terms.HiddenObstacle, ALL, shapes={"obstacle_radius": (0.04,)}),
-    Effect.of_term("contact", terms.GroundPose, ALL, grounded=True),
+    Effect.of_term("contact", terms.GroundPose, ALL, grounded=True, common=GROUND),
     Effect(
         "friction_law",
         "contact",

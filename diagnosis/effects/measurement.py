@@ -11,8 +11,8 @@ from .effect import Amount, Effect
 __all__ = ["EFFECTS"]
 
 ALL = ("solid", "rope", "sheet")
-SHIFT = tuple(Amount(f"camera_shift_{axis}", 0.01, -0.1, 0.1, "m") for axis in "xyz")
-TURN = tuple(Amount(f"camera_turn_{axis}", 0.02, -0.3, 0.3, "rad") for axis in "xyz")
+SHIFT = tuple(Amount(f"camera_shift_{axis}", 0.01, -0.1, 0.1, "m", 1e-3) for axis in "xyz")
+TURN = tuple(Amount(f"camera_turn_{axis}", 0.02, -0.3, 0.3, "rad", 3e-3) for axis in "xyz")
 
 
 def _moved(scene: Scene, values: Mapping[str, float]) -> Scene:
@@ -21,7 +21,7 @@ def _moved(scene: Scene, values: Mapping[str, float]) -> Scene:
 
 
 EFFECTS = (
-    Effect.of_term("measurement", terms.ControllerDelay, ALL),
+    Effect.of_term("measurement", terms.ControllerDelay, ALL, common={"controller_delay": 2e-3}),
     Effect(
         "camera_pose",
         "measurement",

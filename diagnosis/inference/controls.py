@@ -1,11 +1,11 @@
 """Frozen sound recordings, among whose statistics those of a recording are judged.
 
 Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, and sound
-recordings hold errors that no member has. So each statistic, in deviations of its members', and for some kinds what a twin leaves of the
-motion, is compared with those of n recordings known to
-be sound, of the same kind of body and weighed with the same config. They are taken as draws of a Student t whose place, scale and degrees
-of freedom are the likeliest (Lange, Little & Taylor 1989): a sound recording that lies far out then makes the tail heavier and leaves the
-rest alone, and p goes on where ranks among n end at 1 / (1 + n).
+recordings hold errors that no member has. So each statistic, as a logarithm over its members', and for some kinds what a twin leaves of
+the motion, is compared with those of n recordings known to be sound, of the same kind of body and weighed with the same config and the
+same usual errors of recordings. They are taken as draws of a Student t whose place, scale and degrees of freedom are the likeliest (Lange,
+Little & Taylor 1989): a sound recording that lies far out then makes the tail heavier and leaves the rest alone, and p goes on where ranks
+among n end at 1 / (1 + n).
 
 ``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``.
 """
@@ -23,6 +23,7 @@ import numpy as np
 
 from ...datasets.temporary import replacing
 from ..config import DiagnosisConfig
+from ..effects import effects
 
 __all__ = ["FILE", "Controls", "Tail", "frozen", "main"]
 
@@ -140,7 +141,8 @@ def _known() -> dict:
 def _shaping(config: DiagnosisConfig) -> dict:
     """What statistics depend on, as JSON has it; ``members`` is asked for on its own."""
     found = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(config).items() if name not in DECIDING}
-    return found | {"members": config.members}
+    usual = {amount.name: amount.usual for effect in effects() for amount in effect.amounts if amount.usual}
+    return found | {"members": config.members, "usual": usual}
 
 
 def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:

@@ -4,7 +4,8 @@ Residuals of members are draws from a normal distribution with an unknown covari
 one: variances by place and time, correlations that fade with time and distance. What is expected of a further sound twin is then a Student
 t whose scale is between the two, and whose degrees of freedom are the prior's strength plus the number of members (Gelman et al. 2013,
 section 3.6). Strength and ranges are those under which members left out are likeliest. Directions that no member showed keep a smooth
-prior's variance, so that being off their span proves nothing.
+prior's variance, so that being off their span proves nothing. What any recording is off by a little without anything being
+missing, as the pose of its ground is, is known by what it does and how large it usually is.
 """
 
 from __future__ import annotations
@@ -64,11 +65,13 @@ class Prior:
 @dataclass(frozen=True, eq=False)
 class Scatter:
     """Residuals ``left`` (K, B) m of members without noise, ``noise`` (B, B) m^2 of block means, ``slopes`` (B, n): what parameters within
-    their priors do, for one standard deviation each. ``floor`` [m]: standard deviation of a further error of each block mean by itself."""
+    their priors do, for one standard deviation each; ``usual`` (B, u) m: the same of what any recording is off by. ``floor`` [m]: standard
+    deviation of a further error of each block mean by itself."""
 
     left: np.ndarray
     noise: np.ndarray
     slopes: np.ndarray
+    usual: np.ndarray
     layout: Layout
     floor: float = 0.0
 
@@ -78,9 +81,8 @@ class Scatter:
 
     def only(self, rows) -> Scatter:
         """Some of the block means (B,)."""
-        return replace(
-            self, left=self.left[:, rows], noise=self.noise[np.ix_(rows, rows)], slopes=self.slopes[rows], layout=self.layout[rows]
-        )
+        own = {name: getattr(self, name)[rows] for name in ("slopes", "usual", "layout")}
+        return replace(self, left=self.left[:, rows], noise=self.noise[np.ix_(rows, rows)], **own)
 
     def variances(self, smooth: np.ndarray) -> np.ndarray:
         """(B,) m^2: mean squares of members, averaged over neighbours by ``smooth`` (B, B), which a mean over K alone would not tell."""
@@ -90,7 +92,7 @@ class Scatter:
         """The same, for a ``kernel`` (B, B) of the prior's and one that averages variances (``smooth``)."""
         sd = np.sqrt(self.variances(smooth))
         weight = prior.strength / (prior.strength + len(self.left))
-        own = np.diag(np.full(len(sd), self.floor**2))
+        own = np.diag(np.full(len(sd), self.floor**2)) + self.usual @ self.usual.T
         return weight * sd[:, None] * kernel * sd + (1 - weight) * self.left.T @ self.left / len(self.left) + own
 
     def likelihood(self, prior: Prior, *, parameters: bool = True) -> Likelihood:

@@ -88,7 +88,7 @@ def compared(
     tell(f"{len(members)} sound recordings")
     catalogue = signatures(forward, paths, reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
-    scatter = Scatter(members, noise, slopes[-1], forward.layout)
+    scatter = Scatter(members, noise, slopes[-1], np.zeros((len(noise), 0)), forward.layout)
     posterior = forward.posterior(slopes[-1])
     return Evidence(
         forward, reference, slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), (), np.zeros((0, slopes.shape[-1]))

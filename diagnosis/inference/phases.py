@@ -18,7 +18,7 @@ from .covariance import Prior, Scatter, chosen
 from .forward import Forward
 from .members import Member, drawn, ran
 from .refit import Gain, Refit, gained, refitted
-from .scan import Signature, signatures
+from .scan import Signature, signatures, usual_errors
 from .significance import Significance, fitted_rows, significance, unexplained
 from .wander import Wander, wander
 
@@ -144,7 +144,8 @@ def gathered(
     heard = np.sqrt(np.diag(noise) + np.mean(left[:-1] ** 2, 0))
     catalogue = signatures(forward, paths, reference, config, left[-1], heard)
     tell(f"signatures of {len(catalogue)} candidates")
-    scatter = Scatter(left[:-1], noise, slopes, layout, 0.0 if against else 1e-3 * config.floor)
+    usual = usual_errors([] if against else catalogue, layout.record)  # recordings that are compared share it
+    scatter = Scatter(left[:-1], noise, slopes, usual, layout, 0.0 if against else 1e-3 * config.floor)
     posterior = forward.posterior(slopes)
     return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, posterior, tuple(catalogue), kept, settled[:-1])
 

@@ -185,7 +185,8 @@ def _error(one: _Moved, evidence: Evidence, prior: Prior, config: DiagnosisConfi
     slopes = forward.slopes(reference) / forward.sds
     values, ways = np.linalg.eigh(forward.covariance)
     open_ = slopes @ (ways * np.sqrt(np.maximum(values, 0.0)))
-    return Scatter(np.sqrt(worse) * left, np.diag(one.noise), open_, forward.layout, evidence.scatter.floor).likelihood(prior)
+    usual = np.zeros((len(one.noise), 0))  # both readings share it
+    return Scatter(np.sqrt(worse) * left, np.diag(one.noise), open_, usual, forward.layout, evidence.scatter.floor).likelihood(prior)
 
 
 def _member(member: Member, one: _Moved, evidence: Evidence, config: DiagnosisConfig) -> np.ndarray:

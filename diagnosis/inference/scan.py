@@ -15,7 +15,7 @@ from ..effects import Candidate, effects
 from .forward import Forward
 from .likelihood import Likelihood, log_gain
 
-__all__ = ["Score", "Signature", "motion_of", "score", "scores", "signatures"]
+__all__ = ["Score", "Signature", "motion_of", "score", "scores", "signatures", "usual_errors"]
 
 CELLS_IN_ONE = ("body", "velocity", "setup", "")  # stages whose laws cost little where they are at 0, asked in one system
 LEAST, MOST = 0.2, 5.0  # times the probing motion: outside of it a signature is measured again
@@ -161,6 +161,20 @@ def _row(forward, candidate, j, size) -> dict:
     amounts = np.zeros(len(candidate.effect.amounts))
     amounts[j] = size
     return {**forward.values(np.zeros(len(forward.unknowns))), **candidate.values(amounts)}
+
+
+def usual_errors(catalogue: Sequence[Signature], record) -> np.ndarray:
+    """(B, u) m: what a standard deviation of each amount does that is usually there (``Amount.usual``), in each recording by itself.
+
+    record (B,) the number of the recording of each block mean
+    """
+    ways = [
+        column / unit * amount.usual
+        for s in catalogue
+        for column, unit, amount in zip(s.columns.T, s.unit, s.candidate.effect.amounts, strict=True)
+        if amount.usual
+    ]
+    return np.array([np.where(record == r, way, 0.0) for way in ways for r in np.unique(record)]).reshape(-1, len(record)).T
 
 
 def _measured(forward, reference, plan, config):

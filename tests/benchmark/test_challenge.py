@@ -182,6 +182,21 @@ def test_cases_may_have_several_recordings_to_fit(tmp_path, monkeypatch):
     assert "recordings" not in json.dumps(read_json(Folder(tmp_path / "plain").kept / "plan.json"))
 
 
+def test_a_part_of_a_test_has_as_many_cases_as_are_asked(tmp_path, monkeypatch, capsys):
+    # 4 controls, 2 effects in the one size of quick, 1 outside, none with two
+    monkeypatch.setattr(making, "build", drawn)
+    monkeypatch.setattr(making, "require", lambda engines: None)
+    options = ["challenge", "make", "--out", str(tmp_path / "set"), "--seed", "x", "--engines", "mujoco"]
+    assert main([*options, "--counts", "4", "2", "1", "0"]) == 0
+    kinds = [read_json(file)["label"]["kind"] for file in sorted(Folder(tmp_path / "set").kept.glob("case_*.json"))]
+    assert sorted(kinds) == ["control"] * 4 + ["effect"] * 2 + ["outside"]
+    published = Folder(tmp_path / "set").published()["preset"]
+    assert [published[name] for name in ("controls", "effects", "outside", "pairs")] == [4, 2, 1, 0]
+    for wrong in (("4", "0", "0", "2"), ("-1", "2", "1", "0")):
+        assert main([*options, "--counts", *wrong]) != 0
+        assert "--counts must have an effect or a case outside" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_simulated_sets_repeat_to_the_last_byte(tmp_path, monkeypatch):
     """The engines themselves, without anything standing in for them."""

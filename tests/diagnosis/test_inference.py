@@ -16,7 +16,7 @@ from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, cho
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
 from twinbench.diagnosis.inference.phases import _chances, _likely
 from twinbench.diagnosis.inference.refit import gained, refitted
-from twinbench.diagnosis.inference.scan import Score, Signature, score
+from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
 
@@ -68,7 +68,7 @@ class World:
     def evidence(self, measured):
         runs = np.concatenate([self.sound(MEMBERS), measured[None]])
         left, _ = absorb(runs, self.reference, self.slopes, np.full(SIZE, NOISE), self.run, NOWHERE, rounds=2)
-        scatter = Scatter(left[:-1], NOISE**2 * np.eye(SIZE), self.slopes, self.layout)
+        scatter = Scatter(left[:-1], NOISE**2 * np.eye(SIZE), self.slopes, np.zeros((SIZE, 0)), self.layout)
         return scatter, left[-1], left[:-1] + self.noise(MEMBERS)
 
     def asked(self, measured):
@@ -185,6 +185,30 @@ def test_the_covariance_tells_members_that_it_has_not_seen():
     fresh = World(6, growth=1.0).factor @ np.random.default_rng(0).normal(size=(SIZE, 200)) + world.noise(200).T
     ratio = np.mean([likelihood.misfit(row) for row in fresh.T]) / SIZE
     assert 0.6 < ratio < 1.6
+
+
+def test_what_any_recording_is_off_by_is_no_alarm():
+    # a recording of which the ground is reported 2 standard deviations off what it is, where members know it: beside them alone it alarms
+    amount = replace(effect().amounts[0], usual=0.5)
+    world = World(7)
+    way = signature(world.factor @ world.random.normal(size=SIZE))  # 1 mm RMS for an amount of 1
+    known = [replace(way, candidate=Candidate(replace(effect(), amounts=(amount,)), {}), columns=2 * way.columns, unit=np.full(1, 2.0))]
+    usual = usual_errors(known, np.zeros(SIZE, int))
+    np.testing.assert_allclose(usual, 0.5 * way.columns, rtol=1e-12)
+    measured = world.sound(1)[0] + world.noise() + 20 * usual[:, 0]  # 10 mm
+    scatter, residual, noisy = world.evidence(measured)
+    catalogue = [*world.catalogue, way]
+    asked = [significance(s, PRIOR, residual, noisy, catalogue, np.ones(SIZE)).p for s in (scatter, replace(scatter, usual=10 * usual))]
+    assert asked[0] < 0.01 < 0.1 < asked[1]
+
+
+def test_usual_errors_are_of_each_recording_by_itself():
+    # columns of two recordings: what is usual in one says nothing of the other, and amounts that are not usual have none
+    amounts = (Amount("raise", 1.0, -9.0, 9.0, "m", 0.5), Amount("push", 1.0, -9.0, 9.0, "N"))
+    one = Signature(Candidate(replace(effect(), amounts=amounts), {}), np.arange(8.0).reshape(4, 2), np.array([2.0, 1.0]), np.ones(2))
+    expected = np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 1.0], [0.0, 1.5]])  # column / unit * usual, rows of recordings 0 0 1 1
+    np.testing.assert_array_equal(usual_errors([one], np.array([0, 0, 1, 1])), expected)
+    assert usual_errors([], np.array([0, 0, 1, 1])).shape == (4, 0)
 
 
 def test_the_prior_that_is_chosen_fades_as_errors_do():
@@ -443,7 +467,7 @@ def test_a_name_must_leave_as_little_as_sound_twins_do():
     # of them does not. Of the motion, where controls know how much is usual: a tenth here, give or take; half of it explains nothing
     random = np.random.default_rng(0)
     members, motion, noise, none = random.normal(0, 1e-3, (12, SIZE)), np.full(SIZE, 0.01), 1e-8 * np.eye(SIZE), np.zeros((SIZE, 1))
-    scatter, prior = Scatter(members, noise, none, layout()), Prior(8.0, 0.0, 0.0)
+    scatter, prior = Scatter(members, noise, none, none, layout()), Prior(8.0, 0.0, 0.0)
     draws = random.normal(0, 1e-3, (20, SIZE))
 
     def left(scatter, members, residuals, controls=None):
@@ -455,6 +479,9 @@ def test_a_name_must_leave_as_little_as_sound_twins_do():
     three = np.c_[random.normal(size=(40, 2)), np.log(0.1) + 0.3 * random.normal(size=40)]
     for share, enough in ((0.1, True), (0.5, False)):
         as_wide = 10 * share * members  # among which nothing stands out
-        wide, these = Scatter(as_wide, noise, none, layout()), 0.01 * share * draws / np.sqrt(np.mean(draws**2, axis=1, keepdims=True))
+        wide, these = (
+            Scatter(as_wide, noise, none, none, layout()),
+            0.01 * share * draws / np.sqrt(np.mean(draws**2, axis=1, keepdims=True)),
+        )
         p = [left(wide, as_wide, these, Controls(three[:, :n])) for n in (3, 2)]
         assert (np.median(p[0]) > 0.03) == enough and np.median(p[1]) > 0.03

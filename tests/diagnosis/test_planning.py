@@ -33,7 +33,7 @@ def evidence():
     path = Simulator(scene).run([TRUE], FRAMES)[0][:, : scene.counts[0]]
     forward = Forward.of(twin, [recorded(path + np.random.default_rng(0).normal(0, 1e-3, path.shape))], CONFIG)
     layout, size = forward.layout, len(forward.data)
-    scatter = Scatter(np.zeros((4, size)), np.diag(np.full(size, 1e-8)), np.zeros((size, 2)), layout)
+    scatter = Scatter(np.zeros((4, size)), np.diag(np.full(size, 1e-8)), np.zeros((size, 2)), np.zeros((size, 0)), layout)
     nothing = np.zeros(size)
     kept = tuple(drawn(forward, CONFIG))
     return Evidence(forward, nothing, np.zeros((size, 2)), scatter, nothing, np.zeros((4, size)), np.eye(size), (), kept, np.zeros((4, 2)))
