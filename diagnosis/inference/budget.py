@@ -22,8 +22,8 @@ class Budget:
     """One part of a motion, from ``begin`` to ``end`` [s] of recording ``record``; all others mm, RMS over its block means.
 
     error       of the fitted sound twin
-    noise       of measured means; ``representation``: what sound twins of other cells, shape, steps and hands are off; ``parameters``: what
-                their posterior leaves open
+    noise       of measured means; ``representation``: what sound twins of other cells, shape, steps and hands are off, and what any
+                recording is (``Amount.usual``); ``parameters``: what their posterior leaves open
     named       what the likeliest effect changes, 0 if none is; ``unexplained``: what error there is beyond the squares of all of these
     fitted      whether its frames were fitted
     """
