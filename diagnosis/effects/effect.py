@@ -74,19 +74,16 @@ class Effect:
             raise ValueError(f"kind of effect {self.name} must be one of {', '.join(KINDS)}, got {self.kind!r}")
 
     @classmethod
-    def of_term(cls, kind: str, term: type[Term], bodies: tuple[str, ...], **about) -> Effect:
-        """The effect that a term declares, with what ``about`` says otherwise; ``common``: ``Amount.usual`` by name."""
-        told, known = term.stands_for(), {p.name: p for p in term.parameters}
-        common = about.pop("common", {})
+    def of_term(cls, kind: str, term: type[Term], bodies: tuple[str, ...], *, usual: Mapping[str, float] | None = None, **about) -> Effect:
+        """The effect that a term declares, with what ``about`` says otherwise; ``usual`` as amounts have it, by name."""
+        told, known, usual = term.stands_for(), {p.name: p for p in term.parameters}, usual or {}
         amounts = tuple(
-            Amount(
-                a, told.typical[a] or max(map(abs, told.typical.values())), known[a].low, known[a].high, known[a].unit, common.get(a, 0.0)
-            )
-            for a in told.amplitudes
+            Amount(p.name, told.typical[p.name] or max(map(abs, told.typical.values())), p.low, p.high, p.unit, usual.get(p.name, 0.0))
+            for p in (known[name] for name in told.amplitudes)
         )
-        usual: dict[str, Any] = dict(name=told.name, says=told.says, amounts=amounts, shapes=told.shapes, motion=told.motion)
-        usual |= dict(place=told.place, within=told.within, roaming=told.roaming, anchored=f"{told.place}_anchor_x" in known)
-        return cls(kind=kind, term=term, bodies=bodies, **(usual | about))
+        declared: dict[str, Any] = dict(name=told.name, says=told.says, amounts=amounts, shapes=told.shapes, motion=told.motion)
+        declared |= dict(place=told.place, within=told.within, roaming=told.roaming, anchored=f"{told.place}_anchor_x" in known)
+        return cls(kind=kind, term=term, bodies=bodies, **(declared | about))
 
     @property
     def stage(self) -> str:

@@ -15,7 +15,7 @@ EFFECTS = (
     Effect.of_term("environment", terms.AddedMass, ALL, shapes={"added_mass_within": (0.03,)}),
     Effect.of_term("contact", terms.HiddenTether, ALL, shapes={"tether_within": (0.03,), "tether_length": (0.03,)}),
     Effect.of_term("contact", terms.HiddenObstacle, ALL, shapes={"obstacle_radius": (0.04,)}),
-    Effect.of_term("contact", terms.GroundPose, ALL, grounded=True, common=GROUND),
+    Effect.of_term("contact", terms.GroundPose, ALL, grounded=True, usual=GROUND),
     Effect(
         "friction_law",
         "contact",

@@ -21,7 +21,7 @@ def _moved(scene: Scene, values: Mapping[str, float]) -> Scene:
 
 
 EFFECTS = (
-    Effect.of_term("measurement", terms.ControllerDelay, ALL, common={"controller_delay": 2e-3}),
+    Effect.of_term("measurement", terms.ControllerDelay, ALL, usual={"controller_delay": 2e-3}),
     Effect(
         "camera_pose",
         "measurement",

@@ -188,7 +188,7 @@ def test_the_covariance_tells_members_that_it_has_not_seen():
 
 
 def test_what_any_recording_is_off_by_is_no_alarm():
-    # a recording of which the ground is reported 2 standard deviations off what it is, where members know it: beside them alone it alarms
+    # a recording that is 2 standard deviations off in a way in which no member is: an alarm, unless any recording may be off in that way
     amount = replace(effect().amounts[0], usual=0.5)
     world = World(7)
     way = signature(world.factor @ world.random.normal(size=SIZE))  # 1 mm RMS for an amount of 1
@@ -479,9 +479,7 @@ def test_a_name_must_leave_as_little_as_sound_twins_do():
     three = np.c_[random.normal(size=(40, 2)), np.log(0.1) + 0.3 * random.normal(size=40)]
     for share, enough in ((0.1, True), (0.5, False)):
         as_wide = 10 * share * members  # among which nothing stands out
-        wide, these = (
-            Scatter(as_wide, noise, none, none, layout()),
-            0.01 * share * draws / np.sqrt(np.mean(draws**2, axis=1, keepdims=True)),
-        )
+        wide = Scatter(as_wide, noise, none, none, layout())
+        these = 0.01 * share * draws / np.sqrt(np.mean(draws**2, axis=1, keepdims=True))
         p = [left(wide, as_wide, these, Controls(three[:, :n])) for n in (3, 2)]
         assert (np.median(p[0]) > 0.03) == enough and np.median(p[1]) > 0.03
