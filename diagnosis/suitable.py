@@ -19,16 +19,13 @@ POINTS = 20  # tracked points that are seen in frame 0: two regions of ten
 MARKERS = 3  # that are seen in frame 0 and not driven, where there are markers: fewer show no shape
 EXTENT = 0.02, 5.0  # m: beyond it, units are wrong or nothing of the tables' bodies is meant
 SEEN = 0.2  # of points that no hand drives, and frames: of less, most means are of nothing
-KINDS = ("solid", "rope")
 LIKE = 1.6  # in size, of two recordings of one object: poses and views differ by less
 
 
 def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
-    """Whether a continuum is asked of a recording unless somebody says otherwise: of a solid or a rope that is tracked all over, and of a
-    cable with markers that stands alone, where frozen controls say how far its twin is off.
-
-    Sound twins of cloths are not yet a measure of anything (``results/continuum.md``), and of markers beside sound recordings a net of
-    springs still names more.
+    """Whether a continuum is asked of a recording unless somebody says otherwise: of what is tracked all over, and of a cable with markers
+    that stands alone, where frozen controls say how far a twin of such a body is off. Of markers beside sound recordings a net of springs
+    still names more.
     """
     config = DiagnosisConfig()
     marked = is_marked(one, config)
@@ -38,7 +35,7 @@ def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
         kind = _body(one).kind
     except ValueError:
         return False
-    return kind in KINDS if not marked else not fitted_on and Controls.of(kind, config, marked=True) is not None
+    return not (marked and fitted_on) and Controls.of(kind, config, marked=marked) is not None
 
 
 def suitable(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,11 +18,12 @@ from ...methods.continuum.rods import Rod
 from ...methods.continuum.scene import Scene
 from ...methods.continuum.solids import Solid
 from ...methods.continuum.unknowns import Unknown, members
+from ...physics.cores import threads
 from ...physics.grids import embed
 from ..config import DiagnosisConfig
-from .forward import Forward
+from .forward import Cost, Forward
 
-__all__ = ["Member", "affordable", "drawn", "ran", "scene_of"]
+__all__ = ["Member", "affordable", "drawn", "ran", "scene_of", "shared"]
 
 LESS = 0.8  # of a shift that is too dear, again and again
 
@@ -70,16 +73,37 @@ def affordable(shift: np.ndarray, forward: Forward, config: DiagnosisConfig) -> 
     return shift
 
 
-def ran(member: Member, forward: Forward, config: DiagnosisConfig) -> np.ndarray:
-    """(B,) m, its block means; NaN where it diverged, or where no such body can be made."""
-    try:
+def ran(members: Sequence[Member], forward: Forward, config: DiagnosisConfig) -> np.ndarray:
+    """(K, B) m, block means of each of K members; NaN where one diverged, or where no such body can be made."""
+
+    def run(member: Member, forward: Forward) -> np.ndarray:
         scenes: list[Scene] = []
         for simulator, one in zip(forward.simulators, forward.recordings, strict=True):
             scenes.append(scene_of(member, simulator.scene, one.observed(), config, like=scenes[0].body if scenes else None))
-        other = forward.with_scenes(scenes, member.finer)
-        return other.at(member.shift, member.values)[0]
-    except ValueError:
-        return np.full(len(forward.data), np.nan)
+        return forward.with_scenes(scenes, member.finer).at(member.shift, member.values)[0]
+
+    return shared(members, forward, run)
+
+
+def shared(members: Sequence[Member], forward: Forward, run: Callable[[Member, Forward], np.ndarray]) -> np.ndarray:
+    """(K, B) m, what ``run`` says of each of K members; NaN where it raises ValueError.
+
+    On a CPU threads share them, since each is a system of its own. What a run finds does not depend on it.
+    """
+    begun, costs = time.process_time(), [Cost() for _ in members]
+    on_cpu = all(simulator.device == "cpu" for simulator in forward.simulators)
+
+    def one(member: Member, cost: Cost) -> np.ndarray:
+        try:
+            return run(member, replace(forward, cost=cost))
+        except ValueError:
+            return np.full(len(forward.data), np.nan)
+
+    with ThreadPoolExecutor(threads() if on_cpu else 1) as pool:  # what is launched on the CPU runs outside Python's lock
+        found = np.array(list(pool.map(one, members, costs)))
+    forward.cost.runs += sum(cost.runs for cost in costs)
+    forward.cost.seconds += time.process_time() - begun
+    return found
 
 
 def scene_of(member: Member, scene: Scene, recording: Observed, config: DiagnosisConfig, *, like: Body | None = None) -> Scene:

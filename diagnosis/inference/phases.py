@@ -130,7 +130,7 @@ def gathered(
     slopes = forward.slopes(reference)
     tell(f"slopes of {slopes.shape[1]} unknowns for {len(reference)} block means")
     sound_twins = drawn(forward, config, seed)
-    runs = np.array([ran(m, forward, config) for m in sound_twins])
+    runs = ran(sound_twins, forward, config)
     good = np.flatnonzero(np.isfinite(runs).all(1))
     runs, kept = runs[good], tuple(sound_twins[k] for k in good)
     if len(runs) < 4:

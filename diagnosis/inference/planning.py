@@ -27,7 +27,7 @@ from .blocks import Blocks
 from .covariance import Layout, Prior, Scatter
 from .forward import Forward
 from .likelihood import Likelihood
-from .members import Member, scene_of
+from .members import Member, scene_of, shared
 from .phases import Evidence
 
 __all__ = ["Look", "Plan", "Reading", "plan"]
@@ -178,7 +178,13 @@ def _error(one: _Moved, evidence: Evidence, prior: Prior, config: DiagnosisConfi
     reference = forward.at(np.zeros(len(forward.unknowns)))[0]
     if not np.isfinite(reference).all():
         return None
-    left = np.array([_member(m, one, evidence, config) for m in evidence.members]) - forward.at(evidence.settled)
+    was = evidence.forward
+
+    def run(member: Member, now: Forward) -> np.ndarray:  # its body and hands are told by the recording
+        scene = scene_of(member, was.simulators[0].scene, was.recordings[0].observed(), config)
+        return now.with_scenes([_led(scene, one.motion)], member.finer).at(member.shift, member.values)[0]
+
+    left = shared(evidence.members, forward, run) - forward.at(evidence.settled)
     left = left[np.isfinite(left).all(1)]
     if len(left) < 4:
         return None
@@ -187,16 +193,6 @@ def _error(one: _Moved, evidence: Evidence, prior: Prior, config: DiagnosisConfi
     open_ = slopes @ (ways * np.sqrt(np.maximum(values, 0.0)))
     usual = np.zeros((len(one.noise), 0))  # both readings share it
     return Scatter(np.sqrt(worse) * left, np.diag(one.noise), open_, usual, forward.layout, evidence.scatter.floor).likelihood(prior)
-
-
-def _member(member: Member, one: _Moved, evidence: Evidence, config: DiagnosisConfig) -> np.ndarray:
-    """(B,) m of a member, whose body and hands are told by the recording, in the motion."""
-    was, now = evidence.forward, one.forward
-    try:
-        scene = scene_of(member, was.simulators[0].scene, was.recordings[0].observed(), config)
-        return now.with_scenes([_led(scene, one.motion)], member.finer).at(member.shift, member.values)[0]
-    except ValueError:
-        return np.full(len(now.data), np.nan)
 
 
 def _look(setting: Setting, one: _Moved, error: Likelihood) -> Look | None:

@@ -1,5 +1,6 @@
 """The inference on a small block: block means and their noise, members that are other bodies, an effect that is put in and found."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,10 +9,10 @@ import pytest
 from blocks import FRAMES, TRUE, recorded, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
-from twinbench.diagnosis.inference import scan
+from twinbench.diagnosis.inference import members, scan
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
-from twinbench.diagnosis.inference.members import affordable, drawn, ran
+from twinbench.diagnosis.inference.members import affordable, drawn, ran, shared
 from twinbench.diagnosis.inference.scan import signatures
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.unknowns import Unknown
@@ -76,12 +77,33 @@ def test_a_twin_without_a_posterior_is_refused(twin, recording):
 def test_members_are_other_bodies_that_run(twin, recording):
     forward = Forward.of(twin, [recording], CONFIG)
     reference = forward.at(np.zeros(2))[0]
-    runs = np.array([ran(m, forward, CONFIG) for m in drawn(forward, CONFIG)])
+    runs = ran(drawn(forward, CONFIG), forward, CONFIG)
     assert np.isfinite(runs).all()
     apart = 1e3 * np.sqrt(3 * np.mean((runs - reference) ** 2, 1))
     assert (apart > 0.05).all() and (apart < 20).all()  # mm: of a block of a few cm that is lifted
     assert len(np.unique(np.round(apart, 6))) == len(apart)
     assert forward.cost.runs == 1 + len(runs)
+
+
+def test_members_are_shared_by_threads_and_what_they_find_is_not(twin, recording, monkeypatch):
+    # a run by threads is the run by one, to the bit; what cannot be made is NaN; all runs are counted, in CPU seconds of the whole process
+    forward = Forward.of(twin, [recording], CONFIG)
+    few = drawn(forward, CONFIG)[:3]
+
+    def run(member, own):
+        if member is few[1]:
+            raise ValueError("no such body")
+        return own.at(member.shift)[0]
+
+    found = {}
+    for count in (1, 3):
+        monkeypatch.setattr(members, "threads", lambda count=count: count)
+        before = replace(forward.cost), time.process_time()
+        found[count] = shared(few, forward, run)
+        assert forward.cost.runs - before[0].runs == 2
+        assert 0 < forward.cost.seconds - before[0].seconds <= time.process_time() - before[1]
+    assert np.array_equal(found[1], found[3], equal_nan=True)
+    assert np.isfinite(found[1]).all(1).tolist() == [True, False, True]
 
 
 def test_a_member_that_is_too_dear_is_drawn_towards_the_fit(twin, recording):
