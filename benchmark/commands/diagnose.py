@@ -39,8 +39,8 @@ class Diagnose(OnCluster):
     """Sound recordings of the same command as CASE: how far it differs from them is asked (--twin continuum)."""
     twin: str = "auto"
     """Which twin is questioned: continuum, with sound twins beside it as a measure; springs, a coarse net as PhysTwin's; or auto: continuum
-    for a solid or a rope that is tracked all over, for one cable with markers that stands alone, for several recordings and with --against;
-    else springs. Beside eight recordings or more of --fitted-on a continuum can be asked of a cable as well."""
+    for a body that is tracked all over, for one cable with markers that stands alone, for several recordings and with --against; else
+    springs. Beside eight recordings or more of --fitted-on a continuum can be asked of a cable as well."""
     preset: str = "quick"
     """How much work: quick or full."""
     device: str = "cpu"

@@ -7,8 +7,8 @@ __all__ = ["ENTRANT", "Continuum"]
 
 
 class Continuum(Entrant):
-    """``twinbench diagnose``, as it ships: of several recordings, and of solids and ropes that are tracked all over, a continuum is asked,
-    of the rest springs."""
+    """``twinbench diagnose``, as it ships: of several recordings, and of what is tracked all over, a continuum is asked, of the rest
+    springs."""
 
     name = "continuum"
 
