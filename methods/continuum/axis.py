@@ -12,6 +12,11 @@ ROUNDS = 4  # of curve and projection (Hastie and Stuetzle 1989)
 SMOOTH = 1.5  # widths of the rope, over which its points are averaged: shorter ones follow the noise, longer ones cut bends
 FEWEST = 6  # points of which a line can be told
 FOLDED = 1.3  # times the way through a rope's points from neighbour to neighbour, which is never shorter than its axis: by then it is none
+TURNED = 120.0  # degrees by which an axis turns from one of ``PARTS`` to the next. Of 263 ropes those in one line turn by at most 30, and
+# five by 153 and more: their points lie in two lines side by side, where the ground or a camera is told wrongly. So sharp a hinge is as
+# stiff as 1 / cos^2 of half its angle, and steps are hundreds of times as short
+PARTS = 22  # of a rope's length
+BETWEEN = 8  # places in each, from which a turn is looked for
 ENDS = 0.005  # share of the points that may stick out beyond an end
 SKIN = 0.8  # quantile of the points' distances from the axis that is the radius: some are inside, and noise throws others out
 
@@ -19,7 +24,7 @@ SKIN = 0.8  # quantile of the points' distances from the axis that is the radius
 def axis_of(points, spacing: float, width: float) -> tuple[np.ndarray, float]:
     """((K, 3) m, places along the middle of a rope's ``points`` (M, 3), ``spacing`` apart and about ``width`` across; radius [m]).
 
-    Raises ValueError where the points follow no single line: the curve through them then goes to and fro.
+    Raises ValueError where the points follow no single line: the curve through them then goes to and fro, or there and back.
     """
     points = np.asarray(points, float)
     along = farthest_ways(points)
@@ -31,7 +36,20 @@ def axis_of(points, spacing: float, width: float) -> tuple[np.ndarray, float]:
     if np.ptp(along) > FOLDED * length:
         raise ValueError(f"a rope's points must follow one line, got one of {np.ptp(along):.2f} m through points {length:.2f} m long")
     low, high = np.quantile(along, [ENDS, 1 - ENDS])
-    return resampled(curve, max(2, round((high - low) / (0.5 * step)) + 1), low, high), float(np.quantile(apart, SKIN))
+    axis = resampled(curve, max(2, round((high - low) / (0.5 * step)) + 1), low, high)
+    if (turned := _turned(axis)) > TURNED:
+        raise ValueError(
+            f"a rope's points must follow one line, got one that turns back by {turned:.0f} degrees: they lie in two lines side by side"
+        )
+    return axis, float(np.quantile(apart, SKIN))
+
+
+def _turned(axis) -> float:
+    """Degrees, the most by which ``axis`` (K, 3) turns from one part of its length to the next."""
+    places = resampled(axis, PARTS * BETWEEN + 1)
+    ways = places[BETWEEN:] - places[:-BETWEEN]
+    ways = ways / np.linalg.norm(ways, axis=1)[:, None]
+    return float(np.degrees(np.arccos(np.clip((ways[BETWEEN:] * ways[:-BETWEEN]).sum(1), -1.0, 1.0)).max()))
 
 
 def resampled(curve, count: int, low: float | None = None, high: float | None = None) -> np.ndarray:

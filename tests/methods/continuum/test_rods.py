@@ -128,6 +128,22 @@ def test_the_axis_of_a_filmed_rope_is_found_in_its_points():
     assert radius == pytest.approx(5e-3, rel=0.25)
 
 
+def test_points_in_two_lines_side_by_side_are_no_rope():
+    # half of the points are turned by 4 degrees about one end: a curve through all runs there and back. A bend of 4 cm radius is one rope:
+    # within a 22nd of its length, 44 cm, a circle turns by 20 mm / 40 mm, 29 degrees
+    random = np.random.default_rng(0)
+    along, side = random.uniform(0, 0.5, 900), random.integers(2, size=900)
+    apart = np.stack([along, 0.07 * side * along, 0.0 * along], 1) + random.normal(0, 1e-3, (900, 3))
+    with pytest.raises(ValueError, match=r"must follow one line, got one that turns back by 1[5-7]\d degrees"):
+        axis_of(apart, 0.003, 0.01)
+    arc = random.uniform(0, 0.44, 900)
+    turn = np.clip((arc - 0.157) / 0.04, 0, np.pi)
+    bend = np.stack([0.04 * np.sin(turn), -0.04 * np.cos(turn), 0 * turn], 1)
+    bend[:, 0] += np.minimum(arc - 0.157, 0.0) - np.maximum(arc - 0.157 - 0.04 * np.pi, 0.0)
+    axis, _ = axis_of(bend + random.normal(0, 1e-3, bend.shape), 0.003, 0.01)
+    assert np.linalg.norm(np.diff(axis, axis=0), axis=1).sum() == pytest.approx(0.44, rel=0.05)
+
+
 def filmed():
     points, _ = tube()
     seen = np.ones((1, 600), bool)
