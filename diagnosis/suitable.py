@@ -9,6 +9,7 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..methods.continuum.bodies import Body, bodies_of
 from .config import DiagnosisConfig
+from .ground import sunk
 from .inference.blocks import is_marked
 from .inference.controls import Controls
 
@@ -25,7 +26,7 @@ LIKE = 1.6  # in size, of two recordings of one object: poses and views differ b
 def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
     """Whether a continuum is asked of a recording unless somebody says otherwise: of what is tracked all over, and of a cable with markers
     that stands alone, where frozen controls say how far a twin of such a body is off. Of markers beside sound recordings a net of springs
-    still names more.
+    still names more, and that a body lies below the told ground, which shows in frame 0, it alone says.
     """
     config = DiagnosisConfig()
     marked = is_marked(one, config)
@@ -34,6 +35,8 @@ def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
     try:
         kind = _body(one).kind
     except ValueError:
+        return False
+    if sunk(one.observed()) > 0:
         return False
     return not (marked and fitted_on) and Controls.of(kind, config, marked=marked) is not None
 

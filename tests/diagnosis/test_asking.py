@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from blocks import FRAMES, lifted, recorded
 from twinbench.benchmark.challenge.schema import Answer
-from twinbench.datasets.scenario import Split
+from twinbench.datasets.scenario import Plane, Split
 from twinbench.diagnosis.asking import ask, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
@@ -91,6 +91,10 @@ def test_a_continuum_is_asked_of_what_is_tracked_all_over(monkeypatch):
     hidden = one.visible.copy()
     hidden[0, 15:] = False
     few, cloud = replace(one, visible=hidden, motion_valid=hidden), replace(one, correspond=False, motion_valid=np.zeros_like(one.visible))
+    up = -one.gravity / np.linalg.norm(one.gravity)
+    level = (one.points[0] @ up).max() + np.array([-0.2, 0.02])
+    above, below = (replace(one, ground=Plane(up, float(offset))) for offset in level)  # whose ground is higher than all of the body
+    assert has_continuum(above) and not has_continuum(below)
     assert has_continuum(one) and not any(map(has_continuum, (markers, few, cloud)))
     monkeypatch.setattr("twinbench.diagnosis.diagnose.ask", lambda recordings, **options: ("continuum", len(recordings)))
     monkeypatch.setattr("twinbench.diagnosis.diagnose.inquire", lambda *given, **options: 1 / 0)
