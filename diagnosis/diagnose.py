@@ -89,7 +89,7 @@ def diagnose(
     "springs" is a net of springs. That one is fitted on the scenario's training frames, or where ``fitted_on`` names other recordings of
     the object on all of theirs; it is then taken as adequate for them, and what this recording adds is what is asked. "auto" is a continuum
     where the body is tracked all over and not seen below the told ground, or a cable with markers that stands alone, or recordings are
-    several. Beside ``fitted_on`` a continuum of markers needs at least eight of them (``inference.peers``). Held-out frames and ``transfer``
+    several. Beside ``fitted_on`` a continuum of markers needs at least eight (``inference.peers``). Held-out frames and ``transfer``
     recordings are simulated and never fitted. ``against``, for a continuum: sound recordings of the same command.
     ``preset`` is quick or full, ``weights`` another calibration of the decision on springs than the one that ships.
     Raises ValueError for an unknown twin or preset, what the twin has no use for, or a recording that is too short.
