@@ -10,7 +10,7 @@ from ..datasets.scenario import Scenario
 from ..methods.continuum.bodies import Body, bodies_of
 from .config import DiagnosisConfig
 from .ground import sunk
-from .inference.blocks import is_marked
+from .inference.blocks import Blocks, is_marked
 from .inference.controls import Controls
 
 __all__ = ["has_continuum", "suitable"]
@@ -34,7 +34,8 @@ def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
         return False
     try:
         kind = _body(one).kind
-    except ValueError:
+        Blocks.of(one, config)
+    except ValueError:  # no such body, or too few tracks for means of them
         return False
     if sunk(one.observed()) > 0:
         return False

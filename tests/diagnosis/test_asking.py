@@ -91,6 +91,9 @@ def test_a_continuum_is_asked_of_what_is_tracked_all_over(monkeypatch):
     hidden = one.visible.copy()
     hidden[0, 15:] = False
     few, cloud = replace(one, visible=hidden, motion_valid=hidden), replace(one, correspond=False, motion_valid=np.zeros_like(one.visible))
+    places = one.points.shape[1]
+    sparse = one.visible & np.isin(np.arange(places), np.linspace(0, places - 1, 20).astype(int))  # in ten regions, none of which has six
+    assert not has_continuum(replace(one, visible=sparse, motion_valid=sparse))
     up = -one.gravity / np.linalg.norm(one.gravity)
     level = (one.points[0] @ up).max() + np.array([-0.2, 0.02])
     above, below = (replace(one, ground=Plane(up, float(offset))) for offset in level)  # whose ground is higher than all of the body
