@@ -37,9 +37,9 @@ def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
         Blocks.of(one, config)
     except ValueError:  # no such body, or too few tracks for means of them
         return False
-    if sunk(one.observed()) > 0:
+    if sunk(one.observed()) > 0 or (marked and fitted_on):
         return False
-    return not (marked and fitted_on) and Controls.of(kind, config, marked=marked) is not None
+    return Controls.of(kind, config, marked=marked) is not None
 
 
 def suitable(

@@ -91,7 +91,7 @@ def shared(members: Sequence[Member], forward: Forward, run: Callable[[Member, F
     On a CPU threads share them, since each is a system of its own. What a run finds does not depend on it.
     """
     begun, costs = time.process_time(), [Cost() for _ in members]
-    on_cpu = all(simulator.device == "cpu" for simulator in forward.simulators)
+    workers = threads() if all(simulator.device == "cpu" for simulator in forward.simulators) else 1
 
     def one(member: Member, cost: Cost) -> np.ndarray:
         try:
@@ -99,11 +99,14 @@ def shared(members: Sequence[Member], forward: Forward, run: Callable[[Member, F
         except ValueError:
             return np.full(len(forward.data), np.nan)
 
-    with ThreadPoolExecutor(threads() if on_cpu else 1) as pool:  # what is launched on the CPU runs outside Python's lock
-        found = np.array(list(pool.map(one, members, costs)))
+    if workers == 1:  # a GPU is launched on by the thread that always did
+        found = list(map(one, members, costs))
+    else:
+        with ThreadPoolExecutor(workers) as pool:  # a launch on the CPU runs outside Python's lock
+            found = list(pool.map(one, members, costs))
     forward.cost.runs += sum(cost.runs for cost in costs)
     forward.cost.seconds += time.process_time() - begun
-    return found
+    return np.array(found)
 
 
 def scene_of(member: Member, scene: Scene, recording: Observed, config: DiagnosisConfig, *, like: Body | None = None) -> Scene:
