@@ -58,7 +58,7 @@ def _camera(rs, file):
                 break
             frames = align.process(frames) if align else frames
             depth, color = frames.get_depth_frame(), frames.get_color_frame()
-            if depth and color:
+            if depth and color and _of_one_time(depth, color):
                 unit = float(depth.get_units())
                 stamps.append(color.get_timestamp() / 1000)
                 spool.append(_rgb(rs, file, color), np.array(depth.get_data(), np.uint16))
@@ -71,6 +71,17 @@ def _camera(rs, file):
     k = np.array([[intrinsics.fx, 0, intrinsics.ppx], [0, intrinsics.fy, intrinsics.ppy], [0, 0, 1]])
     size = (intrinsics.width, intrinsics.height)
     return RawCamera(file.stem, k, None, *size, stamps, unit, spool.taken(order), _arrivals(file, stamps))
+
+
+def _of_one_time(depth, color):
+    """Whether both are of one frame: librealsense pairs a colour whose depth is missing with the depth that comes next.
+
+    Half an interval apart is the limit. Stamps of different clocks cannot be compared, and are taken as they are.
+    """
+    if depth.get_frame_timestamp_domain() != color.get_frame_timestamp_domain():
+        return True
+    fps = min(frame.get_profile().fps() for frame in (depth, color))
+    return abs(depth.get_timestamp() - color.get_timestamp()) <= 500 / fps
 
 
 def _arrivals(file, stamps):

@@ -9,12 +9,15 @@ H, W, UNIT = 48, 64, 0.00025
 
 
 class SoftwareCamera:
-    """A device of 64 x 48 pixels at 30 frames a second that leaves out the frames ``lost``; frame t has colour t and depth 4000 + t."""
+    """A device of 64 x 48 pixels at 30 frames a second; frame t has colour t and depth 4000 + t.
 
-    def __init__(self, serial, *, lost=(), triggered=False, streams=("depth", "color")):
+    It leaves out the frames ``lost``, and of the frames ``without_depth`` the depth alone.
+    """
+
+    def __init__(self, serial, *, lost=(), without_depth=(), triggered=False, streams=("depth", "color")):
         import pyrealsense2 as rs
 
-        self.device, self.lost, self.running, self.profiles = rs.software_device(), lost, False, {}
+        self.device, self.lost, self.without_depth, self.running, self.profiles = rs.software_device(), lost, without_depth, False, {}
         self.device.register_info(rs.camera_info.serial_number, serial)
         self.sensor = self.device.add_sensor("camera")
         k = rs.intrinsics()
@@ -40,7 +43,9 @@ class SoftwareCamera:
         for t in range(10_000):
             if not self.running:
                 return
-            for kind, profile in self.profiles.items() if t not in self.lost else ():
+            for kind, profile in self.profiles.items():
+                if t in self.lost or (kind == rs.stream.depth and t in self.without_depth):
+                    continue
                 frame, size = rs.software_video_frame(), 2 if kind == rs.stream.depth else 3
                 frame.pixels = np.full((H, W), 4000 + t, np.uint16) if size == 2 else np.full((H, W, 3), t % 256, np.uint8)
                 frame.stride, frame.bpp, frame.profile = W * size, size, profile.as_video_stream_profile()
