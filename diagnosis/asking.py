@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,26 +18,31 @@ from ..methods.continuum.twin import ContinuumTwin
 from ..methods.continuum.unknowns import Unknown
 from .config import DiagnosisConfig
 from .experiment import plannable, planned
+from .holding import believed, explains, held
 from .inference.blocks import is_marked
 from .inference.contrast import comparable, until
 from .inference.peers import FEWEST, compared, there
-from .inference.phases import Answer, Evidence, Named, gathered, weighed
+from .inference.phases import Answer, Evidence, Named, gathered, tested, weighed
 from .outcome import Outcome, verdict_of
 from .suitable import suitable
 
 __all__ = ["Asked", "ask", "asked", "sound_twin", "told_twin"]
+
+LOST = 0.5  # of the motion: a twin that misses more was fitted to nonsense, and what small changes of it do means nothing
 
 Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """The sound twin, what was gathered and answered, and the twin with what was named, or None."""
+    """The sound twin, what was gathered and answered, and the twin with what was named, or None; the ``tracks`` that it was told of as a
+    hand's."""
 
     twin: ContinuumTwin
     evidence: Evidence
     answer: Answer
     told: ContinuumTwin | None
+    tracks: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
 
 
 def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed: int = 0, device: str = "cpu") -> ContinuumTwin:
@@ -87,16 +92,23 @@ def asked(
     """
     progress("fitting a sound twin")
     known = [comparable(recordings[0], one) for one in against] or [_whole(one) for one in fitted_on]
-    everything, marked = [*recordings, *known], is_marked(recordings[0], config)
+    marked = is_marked(recordings[0], config)
     apart = marked and bool(known)  # what markers miss beside sound ones is told by a twin of these alone
-    twin = twin or sound_twin([_whole(one) for one in known] if apart else everything, config, seed=seed, device=device)
-    twin = there(twin, recordings[0]) if apart else twin
-    if marked and len(fitted_on) >= FEWEST:
-        evidence = compared(twin, recordings[0], fitted_on, config, progress=progress)
-    else:
-        sound = range(len(recordings), len(everything))
-        evidence = gathered(twin, everything, config, sound=sound, against=bool(against), seed=seed, progress=progress)
-    answer = weighed(evidence, config, progress=progress)
+    fitted = twin or sound_twin([_whole(one) for one in known] if apart else [*recordings, *known], config, seed=seed, device=device)
+    asking = _Asking(fitted, known, config, apart, marked and len(fitted_on) >= FEWEST, bool(against), seed, device, progress)
+    twin = there(fitted, recordings[0]) if apart else fitted
+    evidence = asking.evidence(recordings, twin)
+    found, hold, alone = tested(evidence, config), None, len(recordings) == 1 and not against
+    lost = found.alarms(config) and found.test.standardised[2] > np.log(LOST)
+    if alone and lost:
+        hold = held(recordings[0], evidence, found.prior, asking.again, asking.look, config, progress=progress)
+    answer = weighed(evidence, config, found, refits=not (hold and explains(hold, found.test, config)), progress=progress)
+    if alone and not lost and answer.verdict == "unknown":
+        hold = held(recordings[0], evidence, found.prior, asking.again, asking.look, config, progress=progress)
+    if hold and answer.verdict == "unknown":
+        answer = believed(hold, answer, evidence, config)
+        if answer.verdict == "named":
+            return Asked(twin, evidence, answer, hold.twin, hold.tracks)
     told = None
     if answer.verdict == "named" and (fitted_on or against or answer.named[0].candidate.effect.seen):
         told = _refitted_twin(twin, evidence, answer.named[0])
@@ -104,6 +116,42 @@ def asked(
         progress(f"fitting the twin with {answer.named[0].words}")
         told = told_twin(twin, [one.observed() for one in recordings], answer.named[0], _coarse(config, recordings), seed=seed)
     return Asked(twin, evidence, answer, told)
+
+
+@dataclass(frozen=True, eq=False)
+class _Asking:
+    """How a recording is asked: beside ``known`` ones, with a ``fitted`` twin of these alone (``apart``), whose errors there are what is
+    compared (``peers``)."""
+
+    fitted: ContinuumTwin
+    known: Sequence[Scenario]
+    config: DiagnosisConfig
+    apart: bool
+    peers: bool
+    against: bool
+    seed: int
+    device: str
+    progress: Tell
+
+    def evidence(self, recordings: Sequence[Scenario], twin: ContinuumTwin) -> Evidence:
+        if self.peers:
+            return compared(twin, recordings[0], self.known, self.config, progress=self.progress)
+        sound, everything = range(len(recordings), len(recordings) + len(self.known)), [*recordings, *self.known]
+        return gathered(twin, everything, self.config, sound=sound, against=self.against, seed=self.seed, progress=self.progress)
+
+    def again(self, one: Scenario) -> tuple[ContinuumTwin, Evidence]:
+        """Of another recording in the place of the one that was asked, which may say more of its hands."""
+        options: dict[str, Any] = dict(seed=self.seed, device=self.device)
+        own = there(self.fitted, one) if self.apart else sound_twin([one, *self.known], self.config, **options)
+        return own, self.evidence([one], own)
+
+    def look(self, one: Scenario) -> list[ContinuumTwin]:
+        """Twins of it that cost little: at the likeliest start of a fit, and with the numbers that the fitted twin has."""
+        if self.apart:
+            return [there(self.fitted, one)]
+        quick = replace(_coarse(self.config, [one]), iterations=0, members=0)
+        options: dict[str, Any] = dict(seed=self.seed, device=self.device)
+        return [Continuum().fitted([one.observed()], quick, begin=begin, **options) for begin in (None, self.fitted.values)]
 
 
 def _whole(recording: Scenario) -> Scenario:
@@ -167,6 +215,6 @@ def _run(twin: ContinuumTwin | None, recording: Scenario, *, first: bool) -> np.
         return None
     there = twin if first else twin.retarget(recording.initial())
     try:
-        return np.asarray(there.rollout(there.scene.controllers if first else recording.controllers).tracked, float)
+        return np.asarray(there.rollout(there.controllers if first else recording.controllers).tracked, float)
     except Diverged:
         return np.full(recording.points.shape, np.nan)

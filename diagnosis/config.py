@@ -48,6 +48,8 @@ class DiagnosisConfig:
     runs        of such a refit, at most: a rope's takes some 60, one that moves a cable by decimetres would take a thousand of seconds each
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
+    roaming     standard deviation of where a hand that is not listed may be, from where it held the body in frame 0, in each coordinate
+                and bin [mm]: an arm's length
     planned     motions that members run through where a recording leaves something open, each at twice the cost of the members
     strengths   of the prior covariance, in members; ``memories`` [s] and ``reaches`` (of the body's extent) of its correlation. They are
                 chosen by the score of members left out; 0 is no correlation
@@ -78,6 +80,7 @@ class DiagnosisConfig:
     steps: int = 24
     runs: int = 120
     parallel: float = 0.95
+    roaming: float = 500.0
     planned: int = 2
     strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
     memories: tuple[float, ...] = (0.0, 0.15, 0.5, 1.5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -68,7 +68,7 @@ class Outcome:
             "where": _where(first, forward.simulators[0].scene.body.structure) if first else _where_lost(here, parts[0][0]),
             "when": {"frames": [0, parts[0][0].frame_count]} if names else None,
             "parameters": _parameters(first) | _how_lost(lost),
-            "fit": _errors(parts, runs, floor),
+            "fit": _errors([(_unheld(one, found.tracks) if not k else one, role) for k, (one, role) in enumerate(parts)], runs, floor),
             "budget": [asdict(b) | {"recording": parts[b.record][0].name} for b in answer.budget],
             "detectable": _detectable(answer, found.evidence, "amount"),
             "detectable_mm": _detectable(answer, found.evidence, "mm"),
@@ -220,8 +220,17 @@ def _parameters(first: Named | None) -> dict:
         value, sd = first.amounts[amount.name], first.sds[amount.name]
         ends = [float(np.clip(value + s * NORMAL90 * sd, amount.low, amount.high)) for s in (-1, 1)]
         found[amount.name] = {"value": value, "unit": amount.unit, "interval90": ends}
-    units = {p.name: p.unit for p in (first.candidate.effect.term.parameters if first.candidate.effect.term else ())}
+    units = dict.fromkeys(first.candidate.coordinates, "m")
+    units |= {p.name: p.unit for p in (first.candidate.effect.term.parameters if first.candidate.effect.term else ())}
     return found | {n: {"value": float(v), "unit": units.get(n, "-"), "interval90": None} for n, v in first.candidate.fixed.items()}
+
+
+def _unheld(recording: Scenario, tracks) -> Scenario:
+    """Without what was seen of ``tracks``, by which a hand was told."""
+    hidden = {name: getattr(recording, name).copy() for name in ("visible", "motion_valid")}
+    for values in hidden.values():
+        values[:, tracks] = False
+    return replace(recording, **hidden)
 
 
 def _off(recording: Scenario, path) -> np.ndarray:
@@ -288,7 +297,7 @@ def _hypotheses(answer: Answer, evidence: Evidence, names, config: DiagnosisConf
                 "heldout_gain": None if one is None or np.isnan(one.gain.share) else one.gain.share,
                 "transfer_gain": None,
                 "absorbed": 1 - shares[name],
-                "amplitude": None if one is None else float(np.linalg.norm(list(one.amounts.values()))),
+                "amplitude": None if one is None or not one.amounts else float(np.linalg.norm(list(one.amounts.values()))),
                 "unit": units[name],
                 "probability": answer.probabilities.get(name) if one else None,
                 "why": _why(name, one, names, config),

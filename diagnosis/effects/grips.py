@@ -1,9 +1,9 @@
-"""Hands that give way."""
+"""Hands that give way, and hands that nobody listed."""
 
 from ...methods.continuum.simulate import FIRM
 from .effect import Amount, Effect
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "HOLD"]
 
 
 def _yielding(amounts):
@@ -22,4 +22,15 @@ EFFECTS = (
         law=_yielding,
         motion="lifting, then shaking",
     ),
+)
+
+HOLD = Effect(  # asked by itself (``holding``): it has no amount, and its path is what was seen
+    "hidden_tether",
+    "contact",
+    "something that the recording does not list holds a part of the body",
+    None,
+    ("solid", "rope", "sheet"),
+    (),
+    place="hold",
+    motion="the same without touching it elsewhere",
 )

@@ -41,6 +41,7 @@ DECIDING = (
     "steps",
     "runs",
     "parallel",
+    "roaming",
     "planned",
     "members",
 )  # fields that change no statistic of a recording

@@ -22,7 +22,7 @@ from .scan import Signature, signatures, usual_errors
 from .significance import Significance, fitted_rows, significance, unexplained
 from .wander import Wander, wander
 
-__all__ = ["Answer", "Evidence", "Named", "gathered", "infer", "shortcoming", "weighed"]
+__all__ = ["Answer", "Evidence", "Named", "Tested", "gathered", "infer", "shortcoming", "tested", "weighed"]
 
 WORSE = 15.0  # nats by which the linear evidence of a second place may be less
 MOST = 2  # times ``config.refitted`` candidates that are refitted while one that was not is the likeliest
@@ -53,6 +53,18 @@ class Evidence:
     def from_recordings(self) -> bool:
         """Whether members are sound recordings."""
         return not self.members
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """The prior of the covariance, the test, and whether anything says how far a sound twin of such a body is off (``founded``)."""
+
+    prior: Prior
+    test: Significance
+    founded: bool
+
+    def alarms(self, config: DiagnosisConfig) -> bool:
+        return self.founded and self.test.p < config.level
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,42 +162,45 @@ def gathered(
     return Evidence(forward, reference, slopes, scatter, left[-1], left[:-1] + draws, posterior, tuple(catalogue), kept, settled[:-1])
 
 
-def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[str], None] | None = None) -> Answer:
-    """The test, names, detectable sizes and the budget of what ``gathered`` returns.
+def weighed(
+    evidence: Evidence,
+    config: DiagnosisConfig,
+    found: Tested | None = None,
+    *,
+    refits: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> Answer:
+    """The test (``found``, if it was made before), names, detectable sizes and the budget of what ``gathered`` returns.
 
-    Where the test alarms, the best candidates are refitted, which costs as many runs as all before.
+    Where the test alarms, the best candidates are refitted, which costs as many runs as all before, unless ``refits`` says otherwise.
     """
     tell = progress or (lambda _: None)
     e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
-    prior = chosen(scatter, config, e.noisy)
-    usual = e.forward.contrast is None and not e.from_recordings  # as controls were
-    kind, marked = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
-    controls = Controls.of(kind, config, marked=marked, recordings=len(e.forward.simulators)) if usual else None
-    founded = Controls.known(kind, marked=marked) or e.from_recordings or e.forward.contrast is not None  # members alone are no null
-    test = significance(scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls)
+    found = found or tested(evidence, config)
+    prior, test = found.prior, found.test
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
     rows = np.flatnonzero(layout.fitted)
     fitting = scatter.only(rows).likelihood(prior, parameters=False)
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
-    alarm = founded and test.p < config.level
-    likely, refits, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
-    asked = list(likely)[: config.refitted] if alarm else []
+    alarm = found.alarms(config)
+    likely, tried, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
+    asked = list(likely)[: config.refitted] if alarm and refits else []
     while asked:
         for name in asked:
-            found = {k: refitted(*common, e.catalogue[k], config) for k in likely[name]}
-            refits[name] = max(found.items(), key=lambda one: one[1].log_evidence)
-        gains = {k: found.log_evidence - sound.log_evidence for k, found in refits.values()}
+            own = {k: refitted(*common, e.catalogue[k], config) for k in likely[name]}
+            tried[name] = max(own.items(), key=lambda one: one[1].log_evidence)
+        gains = {k: one.log_evidence - sound.log_evidence for k, one in tried.values()}
         chances = _chances(test, e.catalogue, gains)
         likeliest = next(iter(chances))  # where refits were worse than their linear evidence, it may be one that was not refitted
-        asked = [likeliest] if likeliest not in refits and len(refits) < MOST * config.refitted else []
-    tell(f"{len(refits)} candidates refitted")
-    best = [(e.catalogue[k], found) for k, found in refits.values()]
+        asked = [likeliest] if likeliest not in tried and len(tried) < MOST * config.refitted else []
+    tell(f"{len(tried)} candidates refitted")
+    best = [(e.catalogue[k], one) for k, one in tried.values()]
     whole, seen = scatter.only(rows).likelihood(prior), (e.forward.data[rows], e.forward.motion[rows])
     left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r in best]
     named = sorted((_named(e, s, r, sound, chances, p) for (s, r), p in zip(best, left, strict=True)), key=lambda n: -n.probability)
     confirmed = bool(named) and shortcoming(named[0], config.level) is None
-    verdict = "unfounded" if not founded else "adequate" if not alarm else "named" if confirmed else "unknown"
+    verdict = "unfounded" if not found.founded else "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
     return Answer(
@@ -199,8 +214,26 @@ def weighed(evidence: Evidence, config: DiagnosisConfig, *, progress: Callable[[
         tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change)),
         e.forward.cost.runs,
         e.forward.cost.seconds,
-        () if marked else tuple(wander(e.forward.recordings[r], kind) for r in e.forward.asked),
+        _wandering(e),
     )
+
+
+def _wandering(evidence: Evidence) -> tuple[Wander, ...]:
+    forward = evidence.forward
+    kind = forward.simulators[0].scene.body.kind
+    return () if forward.blocks[0].is_single else tuple(wander(forward.recordings[r], kind) for r in forward.asked)
+
+
+def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:
+    """Whether a sound twin explains the recordings."""
+    e = evidence
+    prior = chosen(e.scatter, config, e.noisy)
+    usual = e.forward.contrast is None and not e.from_recordings  # as controls were
+    kind, marked = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
+    controls = Controls.of(kind, config, marked=marked, recordings=len(e.forward.simulators)) if usual else None
+    founded = Controls.known(kind, marked=marked) or e.from_recordings or e.forward.contrast is not None  # members alone are no null
+    test = significance(e.scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls)
+    return Tested(prior, test, founded)
 
 
 def _likely(test: Significance, catalogue, config: DiagnosisConfig) -> dict[str, list[int]]:

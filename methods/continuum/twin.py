@@ -30,6 +30,7 @@ class ContinuumTwin(Twin):
     """``values`` by name, as ``Simulator`` takes them; ``extra`` terms of its physics.
 
     posterior  names, values and covariance of what was fitted, in the scaled space of the unknowns (``result.Fit``), for intervals
+    unlisted   how many controllers, the last of its scene, its recording does not list: they go where they went, and stay where that ends
     """
 
     scene: Scene
@@ -37,6 +38,7 @@ class ContinuumTwin(Twin):
     extra: tuple[Term, ...] = ()
     posterior: dict = field(default_factory=dict)
     device: str = "cpu"
+    unlisted: int = 0
     looks_ahead = True  # how far a controller is trusted depends on all of its path
 
     @property
@@ -49,14 +51,19 @@ class ContinuumTwin(Twin):
         own = [p.name for p in terms.SoftGrip.parameters]
         return {name: v for name, v in self.values.items() if not name.startswith("grip") or name in own}
 
+    @property
+    def controllers(self) -> np.ndarray:
+        """(T, C, 3) m, of its recording, those that this lists."""
+        return self.scene.controllers[:, : self.scene.controllers.shape[1] - self.unlisted]
+
     @cached_property
     def simulator(self) -> Simulator:
         return Simulator(self.scene, self.extra, self.device)
 
     def rollout(self, controllers: np.ndarray) -> Trajectory:
         controllers = np.asarray(controllers, float)
-        if controllers.ndim != 3 or controllers.shape[1:] != self.scene.controllers.shape[1:]:
-            raise ValueError(f"controllers must have shape (T, {self.scene.controllers.shape[1]}, 3), got {controllers.shape}")
+        if controllers.ndim != 3 or controllers.shape[1:] != self.controllers.shape[1:]:
+            raise ValueError(f"controllers must have shape (T, {self.controllers.shape[1]}, 3), got {controllers.shape}")
         found = self.rollouts(controllers[None])[0]
         if isinstance(found, Diverged):
             raise found
@@ -64,8 +71,12 @@ class ContinuumTwin(Twin):
 
     def rollouts(self, controllers: np.ndarray) -> list[Trajectory | Diverged]:
         controllers, scene = np.asarray(controllers, float), self.scene
-        if controllers.ndim != 4 or controllers.shape[2:] != scene.controllers.shape[1:]:
-            raise ValueError(f"controllers must have shape (B, T, {scene.controllers.shape[1]}, 3), got {controllers.shape}")
+        if controllers.ndim != 4 or controllers.shape[2:] != self.controllers.shape[1:]:
+            raise ValueError(f"controllers must have shape (B, T, {self.controllers.shape[1]}, 3), got {controllers.shape}")
+        if self.unlisted:
+            count, frames = self.controllers.shape[1], np.minimum(np.arange(controllers.shape[1]), len(scene.controllers) - 1)
+            rest = np.broadcast_to(scene.controllers[frames, count:], (*controllers.shape[:2], self.unlisted, 3))
+            controllers = np.concatenate([controllers, rest], 2)
         driven, found = np.flatnonzero(scene.grips >= 0), []
         for path, own in zip(
             self.simulator.run([self.values] * len(controllers), controllers.shape[1], controllers), controllers, strict=True
@@ -92,7 +103,7 @@ class ContinuumTwin(Twin):
             values.pop("frame_rate", None)
         if body.is_loaded and not there.body.is_loaded:
             there = Simulator(there, self.extra, self.device).unloaded(first, values)
-        return replace(self, scene=there, values=values)
+        return replace(self, scene=there, values=values, unlisted=0)
 
     def _grips(self, there: Scene) -> dict[str, float]:
         """How the hands of another recording hold: as much as they were found to hold here, and as far out."""
@@ -140,7 +151,7 @@ class ContinuumTwin(Twin):
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
         state |= dict(values=self.values, extra={type(t).__name__: t.values for t in self.extra}, posterior=self.posterior)
-        state |= dict(device=self.device)
+        state |= dict(device=self.device, unlisted=self.unlisted)
         saving.write(folder, arrays, state)
 
     @classmethod
@@ -159,7 +170,7 @@ class ContinuumTwin(Twin):
         known |= {name: state[name] for name in ("name", "radius", "fps", "timed", "contact")}
         scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
-        return cls(scene, state["values"], extra, state["posterior"], state["device"])
+        return cls(scene, state["values"], extra, state["posterior"], state["device"], state.get("unlisted", 0))
 
 
 def posterior_of(estimate) -> dict:

@@ -1,13 +1,16 @@
 """Markers beside sound recordings of them: what is a null, what is found, and what is refused."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from cables import cable
+from twinbench.benchmark.challenge.schema import Answer
 from twinbench.datasets.scenario import Scenario, Split
 from twinbench.diagnosis.asking import ask, asked
 from twinbench.diagnosis.config import DiagnosisConfig
+from twinbench.diagnosis.holding import listed, places
 from twinbench.diagnosis.inference.blocks import Blocks, is_marked
 from twinbench.diagnosis.inference.peers import FEWEST, compared, there
 from twinbench.methods.continuum.rods import Rod
@@ -139,3 +142,33 @@ def test_beside_few_sound_recordings_markers_are_asked_by_members(sound):
     # fewer than FEWEST are no sample; the twin is fitted to them alone all the same, and has nothing to say of the recording that is asked
     found = ask([recording(25)], fitted_on=sound[:1], config=CONFIG)
     assert found.result["test"]["members"] == CONFIG.members and found.result["verdict"] in ("adequate", "cannot_tell")
+
+
+def test_places_on_a_cable_are_markers_that_follow_each_other():
+    case = recording(24, driven=(0, 1))
+    found = places(case, Blocks.of(case, CONFIG), CONFIG)
+    assert [one.tracks.tolist() for one in found] == [[k, k + 1] for k in range(2, 8)]
+    told = listed(case, found[-1], markers=True)  # the hand that was kept back
+    known = recording(24)
+    assert told.grips.tolist() == known.grips.tolist()
+    assert np.abs(told.controllers - known.controllers).max() < 5 * NOISE
+
+
+def test_a_hand_kept_back_is_named(twin, sound, monkeypatch, tmp_path):
+    monkeypatch.setattr("twinbench.diagnosis.asking.sound_twin", lambda *given, **options: twin)
+    case = recording(24, driven=(0, 1))
+    found = ask([case], transfer=[recording(25)], fitted_on=sound, config=CONFIG)
+    said = found.result
+    assert (said["verdict"], said["effect"]) == ("missing", "hidden_tether")
+    where = case.points[0, 7:].mean(0)
+    assert np.linalg.norm(np.subtract(said["where"]["centroid"], where)) < 0.09  # markers are 88 mm apart
+    held = said["fit"]["heldout"]
+    assert held["extended"] < 0.1 * held["baseline"]
+    assert {name: one["unit"] for name, one in said["parameters"].items()} == dict.fromkeys(("hold_x", "hold_y", "hold_z"), "m")
+    row = next(one for one in said["evidence"]["hypotheses"] if one["effect"] == "hidden_tether")
+    assert row["why"] == "chosen" and row["amplitude"] is None and row["probability"] > 0.99
+    found.write(tmp_path)
+    assert Answer.from_dict(json.loads((tmp_path / "diagnosis.json").read_text())).effect == "hidden_tether"
+    assert "a hidden tether (or a second hand)" in (tmp_path / "report.html").read_text()
+    kept = ContinuumTwin.load(tmp_path / "twins" / "extended")
+    np.testing.assert_allclose(kept.rollout(case.controllers).tracked, found.arrays["extended_0"], atol=1e-6)
