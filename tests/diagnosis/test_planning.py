@@ -117,6 +117,9 @@ def test_what_is_left_open_is_what_is_asked(evidence):
     first, second = readings_of(replace(evidence, catalogue=(signature,)), undecided, "cannot_tell", ())
     assert first.amounts.tolist() == [12.0, 0.0, 0.0] and second.name == "nothing"
     assert readings_of(evidence, answer(), "unknown", ()) is None
+    hold = refit("hidden_tether", 1.0)
+    hold.refit.amounts = np.zeros(0)  # a hand that the recording does not list, which is nowhere else
+    assert readings_of(evidence, answer([hold]), "unknown", ()) is None
 
 
 def test_nothing_is_planned_where_nothing_is_open(evidence):
