@@ -38,9 +38,7 @@ def _worse(answer: Answer, verdict: str) -> float:
 def readings_of(evidence: Evidence, answer: Answer, verdict: str, names: Sequence[str]) -> tuple[Reading, Reading] | None:
     """The two likeliest of ``names`` as they were refitted; what was refitted and nothing, where there is one; or, where nothing was found
     and little could have been, nothing and the likeliest effect at the size at which it would have been found."""
-    refitted = [
-        n for n in answer.named if len(n.refit.amounts) and (not names or n.name in names)
-    ]  # what has none acts in its own recording alone
+    refitted = [n for n in answer.named if len(n.refit.amounts) and (not names or n.name in names)]  # a hold is nowhere else
     if verdict != "cannot_tell":
         found = [_of_refit(n) for n in refitted[:2]]
         return (found[0], found[1] if len(found) > 1 else _nothing(evidence)) if found else None
