@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -143,13 +143,14 @@ class _Asking:
         own = there(self.fitted, one) if self.apart else sound_twin([one, *self.known], self.config, **options)
         return own, self.evidence([one], own)
 
-    def look(self, one: Scenario) -> list[ContinuumTwin]:
-        """Twins of it that cost little: at the likeliest start of a fit, and with the numbers that the fitted twin has."""
+    def look(self, one: Scenario, numbers: Mapping[str, float] | None) -> list[ContinuumTwin]:
+        """Twins of it that cost little: with given ``numbers``, or at the likeliest start of a fit and with those of the fitted twin."""
         if self.apart:
             return [there(self.fitted, one)]
         quick = replace(_coarse(self.config, [one]), iterations=0, members=0)
         options: dict[str, Any] = dict(seed=self.seed, device=self.device)
-        return [Continuum().fitted([one.observed()], quick, begin=begin, **options) for begin in (None, self.fitted.values)]
+        begins = (numbers,) if numbers else (None, self.fitted.values)
+        return [Continuum().fitted([one.observed()], quick, begin=begin, **options) for begin in begins]
 
 
 def _whole(recording: Scenario) -> Scenario:

@@ -32,14 +32,16 @@ from .inference.significance import Significance
 
 __all__ = ["Hold", "Place", "believed", "explains", "held", "listed", "places"]
 
-TRIED = 3  # places that twins are fitted to in full
+TRIED = 3  # places, at most, that twins are fitted to in full
+MOST = 10.0  # m: what misses by more did not run
+ENOUGH = 2  # places that leave nothing to explain: beside the first one, another may be likelier
 NEAR = 2.0  # times the least miss of a first look, beyond which a place is not tried
 ALWAYS = 0.5  # of the train frames, in which a track must be seen to be told as a hand's
 CLEARLY = 15.0  # nats
 FAILS = ValueError, AllDiverged, Diverged  # of a body that cannot be held so, or of which no twin runs
 
 Question = Callable[[Scenario], tuple[ContinuumTwin, Evidence]]
-Look = Callable[[Scenario], Sequence[ContinuumTwin]]
+Look = Callable[[Scenario, Mapping[str, float] | None], Sequence[ContinuumTwin]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,42 +125,54 @@ def held(
     *,
     progress: Callable[[str], None] = lambda said: None,
 ) -> Hold | None:
-    """The place at which a hand that is not listed is the likeliest, or None where there is none or no twin runs.
+    """The likeliest place of a hand that is not listed, one that leaves nothing to explain if there is one; None where no twin runs.
 
-    question  the twin of a recording, and the evidence of it; ``look``: twins that cost little, by which places are chosen before
+    A look at all places says where to begin. Once a place leaves nothing to explain, the numbers of its twin say where to look again.
+
+    question  the twin of a recording, and the evidence of it
+    look      twins of it that cost little, with given numbers or such as are likely
     """
     blocks = evidence.forward.blocks[0]
     known = places(recording, blocks, config)
     told = [listed(recording, one, markers=blocks.is_single) for one in known]
-    misses = [_miss(look, there, one, blocks) for there, one in zip(told, known, strict=True)]
-    most = NEAR * min(misses, default=np.inf)
-    found = []
-    for k in [k for k in np.argsort(misses, kind="stable") if np.isfinite(misses[k]) and misses[k] <= most][:TRIED]:
+
+    def misses(numbers):
+        return np.array([_miss(look, numbers, there, one, blocks) for there, one in zip(told, known, strict=True)])
+
+    found: dict[int, Hold | None] = {}
+    first, numbers, sufficient = misses(None), None, 0
+    while known and len(found) < TRIED and sufficient < ENOUGH:
+        ordered = misses(numbers) if numbers else first
+        likely = [k for k in np.argsort(ordered, kind="stable") if ordered[k] <= min(NEAR * ordered.min(), MOST)]
+        k = next((k for k in likely if k not in found), None)
+        if k is None:
+            break
         x, y, z = 1e3 * recording.points[0, known[k].tracks].mean(0)
         progress(f"asking a hand at {x:.0f}, {y:.0f}, {z:.0f} mm that the recording does not list")
-        try:
+        found[k] = None
+        with suppress(*FAILS):
             twin, own = question(told[k])
-        except FAILS:
-            continue
-        found.append(_judged(known[k], recording, evidence, prior, twin, own, config))
-    return max(found, key=lambda one: one.nats, default=None)
+            found[k] = one = _judged(known[k], recording, evidence, prior, twin, own, config)
+            if _suffices(one, config):  # its numbers tell better which place it is
+                numbers, sufficient = twin.values, sufficient + 1
+    return max((one for one in found.values() if one), key=lambda one: (_suffices(one, config), one.nats), default=None)
 
 
-def _miss(look: Look, told: Scenario, place: Place, blocks: Blocks) -> float:
-    """m, RMS over the train frames of tracks that no hand is told by, of the best twin at a first look; infinite where none runs."""
+def _suffices(hold: Hold, config: DiagnosisConfig) -> bool:
+    """Whether nothing more is missing beside it, and it is far likelier than the sound twin."""
+    return hold.test.p >= config.level and hold.nats > CLEARLY
+
+
+def _miss(look: Look, numbers: Mapping[str, float] | None, told: Scenario, place: Place, blocks: Blocks) -> float:
+    """m, RMS over the train frames of tracks that no hand is told by, of the best twin at a look; infinite where none runs."""
     frames, found = told.split.train_end, [np.inf]
     seen = told.visible[:frames] & ~np.isin(blocks.label, place.labels)
     seen[:, told.grips[told.grips >= 0]] = False
-    if not seen.any():
-        return np.inf
-    try:
-        twins = look(told)
-    except FAILS:
-        return np.inf
-    for twin in twins:
-        with suppress(Diverged):
-            path = np.asarray(twin.rollout(told.controllers[:frames]).tracked)
-            found.append(float(np.sqrt(np.mean(((path - told.points[:frames])[seen] ** 2).sum(1)))))
+    with suppress(*FAILS):
+        for twin in look(told, numbers) if seen.any() else ():
+            with suppress(Diverged):
+                path = np.asarray(twin.rollout(told.controllers[:frames]).tracked)
+                found.append(float(np.sqrt(np.mean(((path - told.points[:frames])[seen] ** 2).sum(1)))))
     return min(found)
 
 
@@ -190,9 +204,9 @@ def _labels(evidence: Evidence) -> np.ndarray:
 
 
 def explains(hold: Hold, test: Significance, config: DiagnosisConfig) -> bool:
-    """Whether nothing more is missing beside it, and it is far likelier than the sound twin and all effects by their linear evidence."""
+    """Whether it suffices, and is far likelier than all effects by their linear evidence as well."""
     most = max((one.log_evidence for one in test.scores), default=0.0)
-    return hold.test.p >= config.level and hold.nats > max(most, 0.0) + CLEARLY
+    return _suffices(hold, config) and hold.nats > most + CLEARLY
 
 
 def believed(hold: Hold, answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> Answer:
