@@ -37,7 +37,7 @@ MOST = 10.0  # m: what misses by more did not run
 ENOUGH = 2  # places that leave nothing to explain: beside the first one, another may be likelier
 NEAR = 2.0  # times the least miss of a first look, beyond which a place is not tried
 ALWAYS = 0.5  # of the train frames, in which a track must be seen to be told as a hand's
-CLEARLY = 15.0  # nats
+CLEARLY = 15.0  # nats: e^15 is three million
 FAILS = ValueError, AllDiverged, Diverged  # of a body that cannot be held so, or of which no twin runs
 
 Question = Callable[[Scenario], tuple[ContinuumTwin, Evidence]]
@@ -152,6 +152,8 @@ def held(
         found[k] = None
         with suppress(*FAILS):
             twin, own = question(told[k])
+            evidence.forward.cost.runs += own.forward.cost.runs
+            evidence.forward.cost.seconds += own.forward.cost.seconds
             found[k] = one = _judged(known[k], recording, evidence, prior, twin, own, config)
             if _suffices(one, config):  # its numbers tell better which place it is
                 numbers, sufficient = twin.values, sufficient + 1
@@ -237,7 +239,7 @@ def _chances(hold: Hold, answer: Answer) -> dict[str, float]:
     over its share."""
     shares = answer.probabilities
     if answer.named:
-        whole = answer.named[0].log_evidence - np.log(answer.named[0].probability)
+        whole = answer.named[0].log_evidence - np.log(max(answer.named[0].probability, 1e-300))
     else:
         whole = logsumexp([one.log_evidence for one in answer.test.scores]) if answer.test.scores else 0.0
     logs = {name: whole + np.log(max(share, 1e-300)) for name, share in shares.items()}
