@@ -140,9 +140,10 @@ def held(
         return np.array([_miss(look, numbers, there, one, blocks) for there, one in zip(told, known, strict=True)])
 
     found: dict[int, Hold | None] = {}
-    first, numbers, sufficient = misses(None), None, 0
+    ordered, numbers, sufficient = misses(None), None, 0
     while known and len(found) < TRIED and sufficient < ENOUGH:
-        ordered = misses(numbers) if numbers else first
+        if numbers:
+            ordered, numbers = misses(numbers), None
         likely = [k for k in np.argsort(ordered, kind="stable") if ordered[k] <= min(NEAR * ordered.min(), MOST)]
         k = next((k for k in likely if k not in found), None)
         if k is None:

@@ -56,6 +56,7 @@ class Outcome:
         lost = _lost(answer, config) if DRIFT in names else None
         here = lost if answer.wandering and lost is answer.wandering[0] else None  # tracks of another recording have other numbers
         floor = float(np.mean([_floor(one) for one, role in parts if role == "case"]))
+        scored = [(_unheld(parts[0][0], found.tracks), parts[0][1]), *parts[1:]]
         result = {
             "schema": SCHEMA,
             "twin": "continuum",
@@ -68,7 +69,7 @@ class Outcome:
             "where": _where(first, forward.simulators[0].scene.body.structure) if first else _where_lost(here, parts[0][0]),
             "when": {"frames": [0, parts[0][0].frame_count]} if names else None,
             "parameters": _parameters(first) | _how_lost(lost),
-            "fit": _errors([(_unheld(one, found.tracks) if not k else one, role) for k, (one, role) in enumerate(parts)], runs, floor),
+            "fit": _errors(scored, runs, floor),
             "budget": [asdict(b) | {"recording": parts[b.record][0].name} for b in answer.budget],
             "detectable": _detectable(answer, found.evidence, "amount"),
             "detectable_mm": _detectable(answer, found.evidence, "mm"),
@@ -78,7 +79,7 @@ class Outcome:
                 "noise_floor": floor,
                 "notes": _notes(found, answer, config),
                 "recordings": _recordings(parts),
-                "curves": _curves(parts, runs, floor),
+                "curves": _curves(scored, runs, floor),
                 "twin": found.twin.values,
                 "told": found.told.values if found.told else None,
                 "plan": figures(plan.motion, plan.separation, plan.others, float(parts[0][0].fps)) if plan else None,

@@ -164,6 +164,8 @@ def test_a_hand_kept_back_is_named(twin, sound, monkeypatch, tmp_path):
     assert np.linalg.norm(np.subtract(said["where"]["centroid"], where)) < 0.09  # markers are 88 mm apart
     held = said["fit"]["heldout"]
     assert held["extended"] < 0.1 * held["baseline"]
+    curve = said["evidence"]["curves"][case.name]["extended"]  # of the same markers as the mean, not of those that were told
+    assert np.mean(curve[TRAIN:]) == pytest.approx(held["extended"])
     assert {name: one["unit"] for name, one in said["parameters"].items()} == dict.fromkeys(("hold_x", "hold_y", "hold_z"), "m")
     row = next(one for one in said["evidence"]["hypotheses"] if one["effect"] == "hidden_tether")
     assert row["why"] == "chosen" and row["amplitude"] is None and row["probability"] > 0.99
