@@ -67,6 +67,14 @@ PRESETS = {
         bodies=("rope",),
         without=("bending", "bending_damping", "torsion", "grip_points"),  # a twin that bends and twists fits all of these
     ),
+    "blocks": Preset(
+        controls=80,
+        levels=tuple(mm / (1000 * FLOOR) for mm in (10, 20, 40)),
+        outside=12,
+        pairs=8,
+        solids="hexahedra",
+        bodies=("plush",),
+    ),
 }
 
 

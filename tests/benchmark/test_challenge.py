@@ -73,11 +73,13 @@ def test_a_preset_has_its_bodies_alone_and_nothing_that_it_leaves_out():
     assert {c.body for c in cases} == {"rope"} and {c.engine for c in cases} == {"mujoco", "finite", "cosserat"}
     said = {name for c in cases for name in c.name.split("+")}
     assert not said & set(preset.without) and "wind" in said and "tearing" not in said  # a rope does not tear
+    cases = plan("blocks", "7", engines=("finite",))
+    assert {c.body for c in cases} == {"plush"} and {"pressure", "tearing"} <= {name for c in cases for name in c.name.split("+")}
 
 
 def test_the_same_seed_is_the_same_plan_and_another_is_another():
     assert plan("full", "a", engines=("mujoco",)) == plan("full", "a", engines=("mujoco",)) != plan("full", "b", engines=("mujoco",))
-    with pytest.raises(ValueError, match="unknown preset 'huge'; known: quick, full, ropes"):
+    with pytest.raises(ValueError, match="unknown preset 'huge'; known: quick, full, ropes, blocks"):
         plan("huge", "a", engines=("mujoco",))
     with pytest.raises(ValueError, match="at least one engine"):
         plan("full", "a", engines=())
