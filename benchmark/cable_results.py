@@ -11,7 +11,7 @@ import numpy as np
 
 from ..datasets.temporary import replacing
 from ..diagnosis.fit import Fit
-from ..diagnosis.ladder import Climb
+from ..diagnosis.ladder import Climb, believed
 
 __all__ = ["FIELDS", "Found", "markdown", "write"]
 
@@ -119,6 +119,17 @@ def markdown(found: Sequence[Found]) -> str:
         for who, value in mine[0].published.items():
             text.append(f"| | {who} | | | {1e3 * value:.2f} |" + " |" * (len(COLUMNS) - 1))
         orders = [f"seed {f.seed}: {', '.join(f.climb.accepted) or 'nothing'}" for f in mine]
-        text += ["", f"Order of what was accepted: {'; '.join(orders)}.", ""]
+        text += ["", f"Order of what was accepted: {'; '.join(orders)}.", "", _believed(mine), ""]
         text += [f"Wall time by seed: {', '.join(f'{f.seconds:.0f} s' for f in mine)}.", ""]
     return "\n".join(text)
+
+
+def _believed(found: Sequence[Found]) -> str:
+    """What every seed found of one cable, and what one or some did."""
+    if len(found) < 2:
+        return "Believed is what every one of several seeds ends with; this is one seed."
+    every = believed([f.climb for f in found])
+    others = {name: [f.seed for f in found if name in f.climb.kept] for f in found for name in f.climb.kept if name not in every}
+    said = f"Believed, since every seed ends with it: {', '.join(every) or 'nothing'}."
+    once = ", ".join(f"{name} (seed {', '.join(map(str, seeds))})" for name, seeds in others.items())
+    return said + (f" Not repeated: {once}." if once else "")

@@ -48,6 +48,8 @@ class DiagnosisConfig:
     runs        of such a refit, at most: a rope's takes some 60, one that moves a cable by decimetres would take a thousand of seconds each
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
+    clearly     nats by which an effect must be likelier than that nothing is missing to be named: 24 effects, one of which acts in one
+                recording of 33, are at even odds then (ln 24 x 33 = 6.7)
     roaming     standard deviation of where a hand that is not listed may be, from where it held the body in frame 0, in each coordinate
                 and bin [mm]: an arm's length
     planned     motions that members run through where a recording leaves something open, each at twice the cost of the members
@@ -80,6 +82,7 @@ class DiagnosisConfig:
     steps: int = 24
     runs: int = 120
     parallel: float = 0.95
+    clearly: float = 6.7
     roaming: float = 500.0
     planned: int = 2
     strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)

@@ -228,7 +228,7 @@ def believed(hold: Hold, answer: Answer, evidence: Evidence, config: DiagnosisCo
     others = [replace(one, probability=chances[one.name]) for one in answer.named if one.name != HOLD.name]
     named = tuple(sorted([own, *others], key=lambda one: -one.probability))
     answer = replace(answer, named=named, probabilities=chances)
-    if next(iter(chances)) != HOLD.name or shortcoming(own, config.level):
+    if next(iter(chances)) != HOLD.name or shortcoming(own, config):
         return answer
     change = hold.prediction - evidence.reference
     parts = budget(evidence.scatter, answer.prior, evidence.forward.data - evidence.reference, evidence.posterior, change)

@@ -12,7 +12,7 @@ from ..physics.terms.base import Term
 from .fit import Fit, Task, fit
 from .model import Knob, Model
 
-__all__ = ["Candidate", "Climb", "Rung", "Step", "best", "climb", "errors", "led"]
+__all__ = ["Candidate", "Climb", "Rung", "Step", "believed", "best", "climb", "errors", "led"]
 
 LED = 1.0  # Hz, of the observer that leads simulations in the first steps of a fit
 STARTS = 2  # the best of a candidate's, which are tried further
@@ -20,6 +20,7 @@ SCOUT = 2  # Gauss-Newton steps after which most candidates are left behind
 FINALISTS = 3  # that fit best then, and as many that do best on what is not fitted
 WORTH = 0.02  # share of the error that a gain must be: less is no physics that anybody misses
 SURE = 2.0  # standard errors that a gain must exceed: the best of several exceeds one by chance
+JOINED = " + "  # between the names of what is tried as one
 DECADES = np.arange(-2.0, 4.01, 0.5)  # of a typical amplitude, tried as starts
 
 
@@ -109,8 +110,24 @@ class Climb:
         return tuple(s.name for s in self.steps)
 
     @property
+    def kept(self) -> tuple[str, ...]:
+        """Names of what was accepted and not taken out again."""
+        dropped = {name for s in self.steps for name in s.dropped}
+        return tuple(name for s in self.steps for name in s.name.split(JOINED) if name not in dropped)
+
+    @property
     def last(self) -> Fit:
         return self.steps[-1].fit if self.steps else self.first
+
+
+def believed(climbs: Sequence[Climb]) -> tuple[str, ...]:
+    """Names that all of two and more ``climbs`` over other splits of the recordings ended with; of one climb nothing has repeated.
+
+    What a single split accepts may be what its recordings have by chance: of a dozen candidates the best exceeds two standard errors so.
+    """
+    if len(climbs) < 2:
+        return ()
+    return tuple(name for name in climbs[0].kept if all(name in other.kept for other in climbs[1:]))
 
 
 def errors(task: Task, model: Model, z) -> np.ndarray:
@@ -160,7 +177,7 @@ def climb(
             full = best(task, [scout, _fit(task, scout.model, scout.z, iterations)])
             after = errors(validation, full.model, full.z)
             gain, spread = _paired(before, after)
-            name = " + ".join(c.name for c in new)
+            name = JOINED.join(c.name for c in new)
             tried.append((new, full, Rung(name, float(after.mean()), gain, spread)))
             report(f"{name}: {1e3 * before.mean():.2f} -> {1e3 * after.mean():.2f} mm, gain {gain:.3f} +- {spread:.3f}")
         rivals = tuple(t[2] for t in tried)

@@ -171,7 +171,7 @@ def _why_open(answer: Answer, verdict: str, config: DiagnosisConfig) -> str | No
     """Why nothing can be told, or why what was found has no name, in a sentence; None where neither is asked, or nobody knows."""
     if verdict == "cannot_tell":
         return _why_undecided(answer, config)
-    wrong = shortcoming(answer.named[0], config.level) if verdict == "unknown" and answer.named else None
+    wrong = shortcoming(answer.named[0], config) if verdict == "unknown" and answer.named else None
     return f"The likeliest of those that were tried, {effect_name(answer.named[0].name)}, {wrong}." if wrong else None
 
 
@@ -314,7 +314,7 @@ def _why(name: str, one: Named | None, names, config: DiagnosisConfig) -> str:
         return "the recordings cannot tell it from the first"
     if one is None:
         return "others explain more of what sound twins leave"
-    return shortcoming(one, config.level) or "others are likelier"
+    return shortcoming(one, config) or "others are likelier"
 
 
 def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:

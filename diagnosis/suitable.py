@@ -59,7 +59,10 @@ def suitable(
     if is_marked(first, config) and not against and len(recordings) != 1:
         raise ValueError(f"markers are asked one recording at a time, got {len(recordings)} (scenario {first.name})")
     recordings = [*recordings, *fitted_on, *against]
-    for one in (*recordings, *transfer):
+    for one in recordings:
+        _enough(one, config)
+        _fittable(one)
+    for one in transfer:
         _enough(one, config)
     for k, one in enumerate(transfer):
         for other in (*recordings, *transfer[:k]):
@@ -74,11 +77,18 @@ def suitable(
         _alike(body, first, one)
 
 
+def _fittable(one: Scenario) -> None:
+    """What is fitted must be seen in enough frames; of a transfer recording, what is seen is compared."""
+    if one.split.train_end < FRAMES:
+        raise ValueError(f"a diagnosis needs at least {FRAMES} train frames, got {one.split.train_end} (scenario {one.name})")
+    predicted = np.setdiff1d(np.arange(one.points.shape[1]), one.grips)  # what hands drive need not be seen: it is told
+    if (share := float(one.visible[: one.split.train_end, predicted].mean())) < SEEN:
+        raise ValueError(f"points must be seen in at least {SEEN:.0%} of train frames, got {share:.1%} (scenario {one.name})")
+
+
 def _enough(one: Scenario, config: DiagnosisConfig) -> None:
     if not one.correspond:
         raise ValueError(f"points must correspond from frame to frame for a diagnosis (scenario {one.name})")
-    if one.split.train_end < FRAMES:
-        raise ValueError(f"a diagnosis needs at least {FRAMES} train frames, got {one.split.train_end} (scenario {one.name})")
     seen = one.points[0][one.visible[0]]
     marked, free = is_marked(one, config), np.setdiff1d(np.flatnonzero(one.visible[0]), one.grips)
     if marked and len(free) < MARKERS:
@@ -87,9 +97,6 @@ def _enough(one: Scenario, config: DiagnosisConfig) -> None:
         )
     if not marked and len(seen) < POINTS:
         raise ValueError(f"a diagnosis needs at least {POINTS} points seen in frame 0, got {len(seen)} (scenario {one.name})")
-    predicted = np.setdiff1d(np.arange(one.points.shape[1]), one.grips)  # what hands drive need not be seen: it is told
-    if (share := float(one.visible[: one.split.train_end, predicted].mean())) < SEEN:
-        raise ValueError(f"points must be seen in at least {SEEN:.0%} of train frames, got {share:.0%} (scenario {one.name})")
     extent = float(np.ptp(seen, axis=0).max())
     if not EXTENT[0] <= extent <= EXTENT[1]:
         units = ": these look like millimetres, and metres are meant" if EXTENT[0] <= extent / 1000 <= EXTENT[1] else ""

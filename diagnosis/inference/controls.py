@@ -41,6 +41,7 @@ DECIDING = (
     "steps",
     "runs",
     "parallel",
+    "clearly",
     "roaming",
     "planned",
     "members",

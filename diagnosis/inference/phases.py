@@ -198,8 +198,9 @@ def weighed(
     best = [(e.catalogue[k], one) for k, one in tried.values()]
     whole, seen = scatter.only(rows).likelihood(prior), (e.forward.data[rows], e.forward.motion[rows])
     left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r in best]
-    named = sorted((_named(e, s, r, sound, chances, p) for (s, r), p in zip(best, left, strict=True)), key=lambda n: -n.probability)
-    confirmed = bool(named) and shortcoming(named[0], config.level) is None
+    usual = np.diag(scatter.expected(prior) + scatter.noise)
+    named = sorted((_named(e, s, r, sound, chances, p, usual) for (s, r), p in zip(best, left, strict=True)), key=lambda n: -n.probability)
+    confirmed = bool(named) and shortcoming(named[0], config) is None
     verdict = "unfounded" if not found.founded else "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
     first = next((s for s, r in best if named and r is named[0].refit), None)
@@ -283,12 +284,13 @@ def _chances(test: Significance, catalogue, refits: Mapping[int, float]) -> dict
     return {names[k]: float(shares[k]) for k in np.argsort(-means, kind="stable")}
 
 
-def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances, left: float) -> Named:
+def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances, left: float, usual: np.ndarray) -> Named:
+    """``usual`` (B,) m^2: variances of what sound twins are off by."""
     candidate, layout = refit.candidate or signature.candidate, e.scatter.layout
     away = np.flatnonzero(~layout.fitted)
     data = e.forward.data
     cells = np.unique(np.c_[layout.record, layout.place], axis=0, return_inverse=True)[1].ravel()
-    gain = gained(data[away], sound.prediction[away], refit.prediction[away], cells[away])
+    gain = gained(data[away], sound.prediction[away], refit.prediction[away], cells[away], usual[away])
     names = [a.name for a in candidate.effect.amounts]
     amounts, sds = (dict(zip(names, map(float, values), strict=True)) for values in (refit.amounts, refit.sd))
     place = None if candidate.place is None else tuple(candidate.place.tolist())
@@ -296,12 +298,14 @@ def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chance
     return Named(candidate, signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, left, refit)
 
 
-def shortcoming(one: Named, level: float) -> str | None:
-    """Why a refit is not believed, if it is not: what it leaves, or that it does not gain, by more than a standard error, on frames that
+def shortcoming(one: Named, config: DiagnosisConfig) -> str | None:
+    """Why a refit is not believed, if it is not: what it leaves, that nothing is about as likely, or that it does not gain on frames that
     nobody fitted, where there are any."""
-    if one.left < level:
+    if one.left < config.level:
         return "leaves more unexplained than sound twins do"
-    return "does not hold on the held-out frames" if one.gain.share <= one.gain.error else None
+    if one.log_evidence <= config.clearly:
+        return "is not much likelier than that nothing is missing"
+    return "does not hold on the held-out frames" if one.gain.share <= 0 else None
 
 
 def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisConfig) -> tuple[str, ...]:

@@ -27,7 +27,8 @@ ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
 
 @dataclass(frozen=True)
 class Gain:
-    """Share of the squared error of block means that were not fitted which a refit removes, and its standard error, by a jackknife."""
+    """Share of the squared error of block means that were not fitted which a refit removes, each error over what sound twins are off by
+    there, and its standard error, by a jackknife."""
 
     share: float
     error: float
@@ -166,9 +167,12 @@ def _step(at, jacobian, data, likelihood, rows, low, high):
     return step, float(downhill @ step) / 2
 
 
-def gained(data, sound, other, cells: Sequence | np.ndarray) -> Gain:
-    """What ``other`` (B,) m removes of ``sound``'s (B,) m squared error in ``data`` (B,) m; ``cells`` (B,): what a jackknife leaves out."""
-    before, after = np.square(data - sound), np.square(data - other)
+def gained(data, sound, other, cells: Sequence | np.ndarray, variances=1.0) -> Gain:
+    """What ``other`` (B,) m removes of ``sound``'s (B,) m squared error in ``data`` (B,) m; ``cells`` (B,): what a jackknife leaves out.
+
+    variances (B,) m^2, of sound twins: where these are off by centimetres, as where a rope is whipped, an error says little
+    """
+    before, after = np.square(data - sound) / variances, np.square(data - other) / variances
     if not len(before) or not np.isfinite(after).all():
         return Gain(np.nan, np.nan)
     share = 1 - after.sum() / before.sum()

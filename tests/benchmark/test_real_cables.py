@@ -1,14 +1,16 @@
 """The cables' study on ropes of which it is known what a spring-mass twin lacks."""
 
 import csv
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from twinbench.benchmark.cable_results import write
+from twinbench.benchmark.cable_results import markdown, write
 from twinbench.benchmark.real_cables import Cable, Plan, cable_replica, common_shapes, run, study, window
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Scenario, Split, TransferPair
+from twinbench.diagnosis.ladder import Climb, Step, believed
 from twinbench.physics.batch import Batch
 from twinbench.physics.system import System
 from twinbench.physics.terms import Dashpot, Gravity, LinearDrag, Springs
@@ -119,9 +121,25 @@ def test_what_was_found_is_written(tmp_path):
     with open(tmp_path / "cables.csv") as stream:
         rows = list(csv.DictReader(stream))
     assert {r["recording"] for r in rows} == {"eval/0", "eval/1"}
-    assert "+ bending" in (tmp_path / "cables.md").read_text()
+    text = (tmp_path / "cables.md").read_text()
+    assert "+ bending" in text and "this is one seed" in text
     with open(tmp_path / "cables_steps.csv") as stream:
         assert {"accepted", "refused"} <= {r["said"] for r in csv.DictReader(stream)}
+
+
+def test_what_does_not_repeat_is_not_believed():
+    def climbed(*steps):
+        steps = [Step(name, 1.0, 0.5, 0.1, (), dropped, found().fits[-1]) for name, dropped in steps]
+        return Climb(found().climb.first, 1.0, tuple(steps), (), {})
+
+    climbs = [
+        climbed(("bending + natural_curvature", ("braces",)), ("rest_shape", ())),
+        climbed(("natural_curvature", ()), ("wind", ()), ("bending", ("wind",))),
+    ]
+    assert [c.kept for c in climbs] == [("bending", "natural_curvature", "rest_shape"), ("natural_curvature", "bending")]
+    assert believed(climbs) == ("bending", "natural_curvature") and believed(climbs[:1]) == ()
+    both = [replace(found(), seed=k, climb=one) for k, one in enumerate(climbs)]
+    assert "ends with it: bending, natural_curvature. Not repeated: rest_shape (seed 0)." in markdown(both)
 
 
 def test_a_window_begins_where_it_is_told():

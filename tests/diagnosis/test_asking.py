@@ -71,8 +71,10 @@ def test_few_points_or_frames_are_refused():
         suitable([replace(one, visible=hidden, motion_valid=hidden)])
     hidden = one.visible.copy()
     hidden[1:] = False
-    with pytest.raises(ValueError, match="in at least 20% of train frames, got"):
-        suitable([replace(one, visible=hidden, motion_valid=hidden)])
+    seldom = replace(one, name="seldom", points=one.points + 0.01, visible=hidden, motion_valid=hidden)
+    with pytest.raises(ValueError, match=r"in at least 20% of train frames, got 8\.3%"):
+        suitable([seldom])
+    suitable([one], [seldom])  # nothing is fitted to a transfer recording: what is seen of it is compared
 
 
 def test_options_that_the_twin_has_no_use_for_are_refused():
@@ -189,10 +191,15 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
 def test_what_has_no_name_says_what_the_likeliest_lacks():
     def answered(*named):
         return SimpleNamespace(
-            named=[SimpleNamespace(name="wind", left=left, gain=SimpleNamespace(share=share, error=0.1)) for left, share in named]
+            named=[
+                SimpleNamespace(name="wind", left=left, log_evidence=nats, gain=SimpleNamespace(share=share, error=0.1))
+                for left, nats, share in named
+            ]
         )
 
     config = DiagnosisConfig()
-    assert _why_open(answered((0.001, 0.9)), "unknown", config).endswith("wind, leaves more unexplained than sound twins do.")
-    assert _why_open(answered((0.5, -0.2)), "unknown", config).endswith("wind, does not hold on the held-out frames.")
-    assert _why_open(answered(), "unknown", config) is None and _why_open(answered((0.001, 0.9)), "missing", config) is None
+    assert _why_open(answered((0.001, 50.0, 0.9)), "unknown", config).endswith("wind, leaves more unexplained than sound twins do.")
+    assert _why_open(answered((0.5, 50.0, -0.2)), "unknown", config).endswith("wind, does not hold on the held-out frames.")
+    assert _why_open(answered((0.5, 5.0, 0.9)), "unknown", config).endswith("wind, is not much likelier than that nothing is missing.")
+    assert _why_open(answered((0.5, 50.0, 0.05)), "unknown", config) is None
+    assert _why_open(answered(), "unknown", config) is None and _why_open(answered((0.001, 50.0, 0.9)), "missing", config) is None

@@ -413,6 +413,9 @@ def test_gains_are_paired():
     data, sound = np.zeros(8), np.repeat([1.0, 3.0], 4)
     found = gained(data, sound, sound / 2, np.arange(8) // 2)
     assert (found.share, found.error) == (pytest.approx(0.75), pytest.approx(0.0, abs=1e-12))
+    # what is off by as much as sound twins are, thrice here, counts for a ninth: of 1 + 9 / 9 squares 1/4 + 1 are left
+    other = np.repeat([0.5, 3.0], 4)
+    assert gained(data, sound, other, np.arange(8) // 2, sound**2).share == pytest.approx(1 - 1.25 / 2)
 
 
 def test_what_is_detectable_is_detected():
