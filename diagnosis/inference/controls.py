@@ -113,6 +113,15 @@ class Controls:
         """Whether there are frozen controls of a kind of body at all, however they were weighed."""
         return bool(_known()["kinds"].get(MARKED + kind if marked else kind))
 
+    @classmethod
+    def all(cls) -> dict[str, Controls]:
+        """All that are frozen, by kind of body and number of recordings."""
+        return {group: cls(np.array([row["standardised"] for row in rows], float)) for group, rows in _known()["kinds"].items()}
+
+    def left_out(self) -> np.ndarray:
+        """(n,) p of each of them, judged by the others."""
+        return np.array([Controls(np.delete(self.standardised, k, 0)).p(one) for k, one in enumerate(self.standardised)])
+
     @cached_property
     def tails(self) -> tuple[Tail, ...]:
         return tuple(Tail.of(values) for values in self.standardised.T)
