@@ -13,7 +13,7 @@ from ..datasets.temporary import replacing
 from ..diagnosis.fit import Fit
 from ..diagnosis.ladder import Climb, believed
 
-__all__ = ["FIELDS", "Found", "markdown", "write"]
+__all__ = ["FIELDS", "Found", "markdown", "repeated", "write"]
 
 FIELDS = ("cable", "seed", "step", "term", "recording", "all_mm", "free_mm", "still_all_mm", "still_free_mm")
 STEP_FIELDS = ("cable", "seed", "step", "term", "said", "before_mm", "after_mm", "log_gain", "log_gain_se")
@@ -119,12 +119,12 @@ def markdown(found: Sequence[Found]) -> str:
         for who, value in mine[0].published.items():
             text.append(f"| | {who} | | | {1e3 * value:.2f} |" + " |" * (len(COLUMNS) - 1))
         orders = [f"seed {f.seed}: {', '.join(f.climb.accepted) or 'nothing'}" for f in mine]
-        text += ["", f"Order of what was accepted: {'; '.join(orders)}.", "", _believed(mine), ""]
+        text += ["", f"Order of what was accepted: {'; '.join(orders)}.", "", repeated(mine), ""]
         text += [f"Wall time by seed: {', '.join(f'{f.seconds:.0f} s' for f in mine)}.", ""]
     return "\n".join(text)
 
 
-def _believed(found: Sequence[Found]) -> str:
+def repeated(found: Sequence[Found]) -> str:
     """What every seed found of one cable, and what one or some did."""
     if len(found) < 2:
         return "Believed is what every one of several seeds ends with; this is one seed."

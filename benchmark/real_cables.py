@@ -27,7 +27,7 @@ from ..physics.terms.natural_curvature import ENDS, MODES, NaturalCurvature
 from ..physics.terms.observer import Observer
 from ..physics.terms.stiffness_level import StiffnessLevel
 from ..physics.topology import rope_hinges
-from .cable_results import FIELDS, Found, write
+from .cable_results import FIELDS, Found, repeated, write
 
 __all__ = ["Cable", "CableTask", "Plan", "cable_replica", "candidates", "common_shapes", "first_twin", "score", "study", "window"]
 
@@ -370,4 +370,6 @@ def run(
             report(collection.note)
             found.append(study(collection, seed=seed, plan=plan, device=device, report=report))
             write(found, out)
+    for cable in dict.fromkeys(f.cable for f in found):
+        report(f"{cable}: {repeated([f for f in found if f.cable == cable])}")
     return found
