@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from twinbench.benchmark.cli import main
-from twinbench.benchmark.concealed import answers, by_effect, calibrate, ceilings, closed, crossed, decided, markdown, score, study, truth
+from twinbench.benchmark.concealed import answers, by_effect, ceilings, closed, markdown, score, study, taught, truth
+from twinbench.diagnosis.training import calibrate, crossed, decided
 from twinbench.diagnosis.verdict import FEATURES, KINDS, NONE, OTHER, USUAL, Calibration, decide
 
 
@@ -143,13 +144,18 @@ def split(cases):
     return {k: r for k, (r, _) in cases.items()}, {k: v for k, (_, v) in cases.items()}
 
 
+def learned(cases):
+    results, labels = split(cases)
+    return results, taught(labels)
+
+
 def test_without_readings_the_odds_are_those_of_the_labels():
     # the likelihood of 9 controls and 3 cases outside is largest at odds of 9 : 3, and these two biases are not shrunk
-    c = calibrate(*split(made_up(9, "control") | made_up(3, "outside", effect="magnet")), source="twelve")
+    c = calibrate(*learned(made_up(9, "control") | made_up(3, "outside", effect="magnet")), source="twelve")
     assert c.biases[NONE] - c.biases[OTHER] == pytest.approx(np.log(3), abs=2e-3)  # rounded to four places; the optimiser's own tolerance
     assert c.source == "twelve"
     # an effect that was never tried counts as unknown: 9 : 6
-    c = calibrate(*split(made_up(9, "control") | made_up(3, "outside", effect="magnet") | made_up(3, "effect", effect="creep")))
+    c = calibrate(*learned(made_up(9, "control") | made_up(3, "outside", effect="magnet") | made_up(3, "effect", effect="creep")))
     assert c.biases[NONE] - c.biases[OTHER] == pytest.approx(np.log(1.5), abs=2e-3)
 
 
@@ -163,7 +169,7 @@ def separable(count=12):
 def test_a_calibration_names_what_gains():
     # the means are 1.5 apart, seven standard deviations: every case can be told
     results, labels = separable()
-    c = calibrate(results, labels)
+    c = calibrate(results, taught(labels))
     assert c.weights["train"] > 0
     for name, result in results.items():
         again = decided(result, c)
@@ -178,9 +184,9 @@ def test_nothing_is_learned_of_two_effects_at_once_nor_of_one_below_what_a_sound
     both = made_up(6, "pair", effect="bending+wind", gains={"wind": 3.0, "bending": 0.0})
     more, named = split(small | both)
     named |= {k: {**v, "level": 1.0} for k, v in named.items() if v["kind"] == "effect"}
-    before = calibrate(results, labels)
-    assert calibrate(results | more, labels | named) == before
-    assert calibrate(results | more, labels | {k: {**v, "level": 2.0} for k, v in named.items()}) != before
+    before = calibrate(results, taught(labels))
+    assert calibrate(results | more, taught(labels | named)) == before
+    assert calibrate(results | more, taught(labels | {k: {**v, "level": 2.0} for k, v in named.items()})) != before
 
 
 def evidence(result):
@@ -195,7 +201,7 @@ def test_what_terms_show_where_nothing_is_missing_is_learned_from_controls():
         rows = [{"effect": "wind", "term": "wind", **dict.fromkeys(FEATURES, 0.0), "shows_train": v} for v in values]
         return {f"{kind}{k}": (answered("adequate", readings=[r]), label(kind, effect)) for k, r in enumerate(rows)}
 
-    null = calibrate(*split(shown("control", None, [1.0, 3.0]) | shown("effect", "wind", [9.0, 9.0]))).null
+    null = calibrate(*learned(shown("control", None, [1.0, 3.0]) | shown("effect", "wind", [9.0, 9.0]))).null
     # of one term alone the pool is its own: mean 2, deviation 1; what was planted has no say
     assert null["wind"]["shows_train"] == null[""]["shows_train"] == [2.0, 1.0]
 
@@ -206,7 +212,7 @@ def test_what_is_usual_of_a_kind_of_body_is_learned_from_its_controls():
         return {f"{sort}{kind}{k}": (answered("adequate", context=c), label(kind, effect)) for k, c in enumerate(context)}
 
     chains, solids = seen("control", None, "chain", [1.0, 3.0]), seen("control", None, "solid", [-4.0] * 4)
-    usual = calibrate(*split(chains | solids | seen("effect", "wind", "solid", [50.0]))).usual
+    usual = calibrate(*learned(chains | solids | seen("effect", "wind", "solid", [50.0]))).usual
     # of all: mean (1 + 3 - 16) / 6 = -2, variance (9 + 25 + 4 x 4) / 6; a kind's are drawn to that as if it had one case more
     wide = 50 / 6
     assert usual[""]["misfit"] == pytest.approx([-2.0, np.sqrt(wide)], abs=1e-4)
@@ -217,7 +223,7 @@ def test_what_is_usual_of_a_kind_of_body_is_learned_from_its_controls():
 def test_no_gain_ever_speaks_against_its_effect():
     # labels the wrong way round: what gains most is never the truth
     results, labels = split(made_up(12, "control", gains={"wind": 3.0}) | made_up(12, "effect", effect="wind", gains={"wind": 0.0}, seed=1))
-    c = calibrate(results, labels)
+    c = calibrate(results, taught(labels))
     assert c.weights["train"] == 0.0
     assert all(c.weights[name] >= 0 for name in c.weights if name.split("_")[-1] in ("train", "heldout", "transfer", "unseen", "seen"))
     assert c.weights["extra"] <= 0
@@ -225,18 +231,18 @@ def test_no_gain_ever_speaks_against_its_effect():
 
 def test_each_case_is_decided_by_a_calibration_that_did_not_see_it():
     results, labels = separable(6)
-    before = crossed(results, labels)
+    before = crossed(results, taught(labels))
     assert set(before) == set(results)
     other = {**labels, "effectwind0": label("effect", "bending")}  # its own label does not change what is said of it
-    assert crossed(results, other)["effectwind0"] == before["effectwind0"]
-    assert crossed(results, other) != before
+    assert crossed(results, taught(other))["effectwind0"] == before["effectwind0"]
+    assert crossed(results, taught(other)) != before
     right = sum(next(iter(r["probabilities"])) == truth(labels[k]) for k, r in before.items())
     assert right >= 0.9 * len(before)
 
 
 def test_thresholds_are_those_that_are_given():
     results, labels = separable(4)
-    strict = crossed(results, labels, thresholds=Calibration({}, {}, {}, named=1.1, both=1.1, sure=dict.fromkeys(KINDS, 1.1)))
+    strict = crossed(results, taught(labels), thresholds=Calibration({}, {}, {}, named=1.1, both=1.1, sure=dict.fromkeys(KINDS, 1.1)))
     assert not {r["verdict"] for r in strict.values()} & {"missing", "measurement", "ambiguous", "adequate"}
 
 
@@ -301,7 +307,7 @@ def test_a_truth_that_does_not_show_may_be_called_unknown():
     quiet = made_up(18, "control", gains={"wind": 0.0, "bending": 0.0})
     loud = made_up(9, "effect", gains={"wind": 2.0, "bending": 0.0}, effect="wind", seed=1)
     mute = {f"mute{k}": v for k, v in enumerate(made_up(9, "effect", gains={"wind": -0.3, "bending": 0.0}, effect="wind", seed=2).values())}
-    c = calibrate(*split(quiet | loud | mute))
+    c = calibrate(*learned(quiet | loud | mute))
     told = {k: decided(r, c)["probabilities"] for k, (r, _) in (loud | mute).items()}
     assert min(told[k]["wind"] for k in loud) > 0.6
     assert max(told[k]["wind"] for k in mute) < 0.2 < min(told[k][OTHER] for k in mute)
