@@ -15,6 +15,8 @@ from ...physics.terms.base import Term
 __all__ = ["KINDS", "Amount", "Candidate", "Effect"]
 
 KINDS = ("material", "environment", "contact", "grip", "measurement")
+WIDE = 1.25  # times the way from one place to the next, the most that a part around a place may reach: a weight on the tip of a beam of
+# 10 cm is none in its middle. Of tables' bodies ways are 2.4 cm and more, so that 3 cm stay 3 cm
 
 
 @dataclass(frozen=True)
@@ -95,14 +97,26 @@ class Effect:
         return dict(self.law(amounts)) if self.law else dict(amounts)
 
     def candidates(self, places, laid: Mapping[int, Callable[[np.ndarray], np.ndarray]] | None = None) -> list[Candidate]:
-        """At all shapes and, where it has one, at each of ``places`` (P, 3) m; ``laid`` as ``Candidate`` has it."""
+        """At all shapes and, where it has one, at each of ``places`` (P, 3) m; ``laid`` as ``Candidate`` has it.
+
+        How far one reaches around its place is limited by how far apart places are.
+        """
         shapes = [dict(zip(self.shapes, row, strict=True)) for row in product(*self.shapes.values())]
         if not self.place:
             return [Candidate(self, shape) for shape in shapes]
+        widest = WIDE * _apart(np.asarray(places))
+        shapes = [{name: min(value, widest) if name == self.within else value for name, value in shape.items()} for shape in shapes]
         spots = [{f"{self.place}_{axis}": float(c) for axis, c in zip("xyz", at, strict=True)} for at in places]
         if self.anchored:
             spots = [s | {f"{self.place}_anchor_{axis}": s[f"{self.place}_{axis}"] for axis in "xyz"} for s in spots]
         return [Candidate(self, shape | spot, laid or {}) for shape in shapes for spot in spots]
+
+
+def _apart(places) -> float:
+    """m, the median way from one of ``places`` (P, 3) to the next; infinite of a single one."""
+    from scipy.spatial import cKDTree
+
+    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1])) if len(places) > 1 else np.inf
 
 
 @dataclass(frozen=True)

@@ -409,6 +409,16 @@ def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
     assert list(found) == ["b", "a"] and found["a"] == pytest.approx(ratio / (1 + ratio))
 
 
+def test_a_part_reaches_no_farther_than_places_lie_apart():
+    weight = next(e for e in effects("solid") if e.name == "added_mass")
+    for apart, reach in ((0.05, 0.03), (0.024, 0.03), (0.008, 0.01)):
+        places = apart * np.c_[np.arange(10), np.zeros((10, 2))]
+        found = weight.candidates(places)
+        assert [one.fixed["added_mass_within"] for one in found] == pytest.approx([reach] * 10)
+    assert weight.candidates(np.zeros((1, 3)))[0].fixed["added_mass_within"] == 0.03
+    assert weight.shapes["added_mass_within"] == (0.03,)  # the effect itself stays
+
+
 def test_gains_are_paired():
     data, sound = np.zeros(8), np.repeat([1.0, 3.0], 4)
     found = gained(data, sound, sound / 2, np.arange(8) // 2)
