@@ -210,7 +210,7 @@ def weighed(
         prior,
         tuple(named),
         chances,
-        _parallel(whole, rows, first, e.catalogue, config) if first else (),
+        _parallel(whole, rows, first, [s for s in e.catalogue if s.name not in _refuted(named, config)], config) if first else (),
         tuple(detectable(scatter, prior, test, e.catalogue, config.level)),
         tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change)),
         e.forward.cost.runs,
@@ -306,6 +306,11 @@ def shortcoming(one: Named, config: DiagnosisConfig) -> str | None:
     if one.log_evidence <= config.clearly:
         return "is not much likelier than that nothing is missing"
     return "does not hold on the held-out frames" if one.gain.share <= 0 else None
+
+
+def _refuted(named: Sequence[Named], config: DiagnosisConfig) -> set[str]:
+    """Names whose refits are far less likely than the first: what a little of two effects does may be alike, and much of them is not."""
+    return {one.name for one in named[1:] if one.log_evidence < named[0].log_evidence - config.clearly}
 
 
 def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisConfig) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from twinbench.diagnosis.inference.budget import budget, detectable
 from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
-from twinbench.diagnosis.inference.phases import _chances, _likely
+from twinbench.diagnosis.inference.phases import _chances, _likely, _refuted
 from twinbench.diagnosis.inference.refit import gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
@@ -407,6 +407,12 @@ def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
     found = _chances(test, catalogue, {0: 5.0})
     ratio = (np.exp(5) + np.exp(3)) / 2 / np.exp(10)
     assert list(found) == ["b", "a"] and found["a"] == pytest.approx(ratio / (1 + ratio))
+
+
+def test_what_a_refit_refutes_is_told_from_the_first():
+    # e^6.7 times less likely is told apart, however alike a little of both is; less than that is not
+    named = [SimpleNamespace(name=name, log_evidence=nats) for name, nats in (("a", 100.0), ("b", 95.0), ("c", 90.0), ("d", -np.inf))]
+    assert _refuted(named, DiagnosisConfig()) == {"c", "d"} and _refuted(named[:1], DiagnosisConfig()) == set()
 
 
 def test_a_part_reaches_no_farther_than_places_lie_apart():
