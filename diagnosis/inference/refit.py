@@ -167,7 +167,7 @@ def _step(at, jacobian, data, likelihood, rows, low, high):
     return step, float(downhill @ step) / 2
 
 
-def gained(data, sound, other, cells: Sequence | np.ndarray, variances=1.0) -> Gain:
+def gained(data, sound, other, cells: Sequence | np.ndarray, variances: np.ndarray | float = 1.0) -> Gain:
     """What ``other`` (B,) m removes of ``sound``'s (B,) m squared error in ``data`` (B,) m; ``cells`` (B,): what a jackknife leaves out.
 
     variances (B,) m^2, of sound twins: where these are off by centimetres, as where a rope is whipped, an error says little
