@@ -11,6 +11,7 @@ from ...datasets.scenario import Scenario
 from ...methods.continuum.twin import ContinuumTwin
 from ..config import DiagnosisConfig
 from ..effects import Candidate
+from ..ground import sunk
 from .absorption import absorb
 from .budget import Budget, Detectable, budget, detectable
 from .controls import Controls
@@ -89,7 +90,7 @@ class Named:
 class Answer:
     """verdict: adequate, named, unknown, or unfounded where nothing says how far a sound twin is off; ``probabilities`` of effects, given
     that one of them acts; ``parallel``: names that the recordings cannot tell from the first; ``wandering``: how far tracks stray in each
-    recording that is asked, none of markers."""
+    recording that is asked, none of markers; ``sunk``: how clearly the body lies below the told ground in each (``ground.sunk``)."""
 
     verdict: str
     test: Significance
@@ -102,6 +103,7 @@ class Answer:
     runs: int
     seconds: float
     wandering: tuple[Wander, ...] = ()
+    sunk: tuple[float, ...] = ()
 
 
 def infer(
@@ -216,6 +218,7 @@ def weighed(
         e.forward.cost.runs,
         e.forward.cost.seconds,
         _wandering(e),
+        _sunk(e),
     )
 
 
@@ -223,6 +226,12 @@ def _wandering(evidence: Evidence) -> tuple[Wander, ...]:
     forward = evidence.forward
     kind = forward.simulators[0].scene.body.kind
     return () if forward.blocks[0].is_single else tuple(wander(forward.recordings[r], kind) for r in forward.asked)
+
+
+def _sunk(evidence: Evidence) -> tuple[float, ...]:
+    """Of recordings that are compared, the ground is the same."""
+    forward = evidence.forward
+    return () if forward.contrast is not None else tuple(sunk(forward.recordings[r].observed()) for r in forward.asked)
 
 
 def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:

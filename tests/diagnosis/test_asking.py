@@ -116,13 +116,13 @@ def test_a_p_value_leaves_a_sound_twin_its_least_probability():
     assert chance_of_sound(0.9) == chance_of_sound(0.4) == 0.5
 
 
-def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, parallel=(), kinds=("wind",)):
+def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, parallel=(), kinds=("wind",), sunk=()):
     found = [SimpleNamespace(name=f"effect {k}", size=s) for k, s in enumerate(sizes)]
     named = [SimpleNamespace(name=name) for name in kinds]
     chances = {name: 1.0 for name in kinds[:1]} if chances is None else chances
     test = SimpleNamespace(p=0.5, p_held_out=held_out)
     return SimpleNamespace(
-        verdict=verdict, test=test, detectable=found, named=named, probabilities=chances, parallel=parallel, wandering=()
+        verdict=verdict, test=test, detectable=found, named=named, probabilities=chances, parallel=parallel, wandering=(), sunk=sunk
     )
 
 
@@ -138,6 +138,10 @@ def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, 
         (answer("named", kinds=("controller_delay",)), "measurement", ("controller_delay",)),
         (answer("named", parallel=("gravity_tilt",)), "ambiguous", ("wind", "gravity_tilt")),
         (answer("named", chances={"wind": 0.6, "creep": 0.39, "pressure": 0.01}), "ambiguous", ("wind", "creep")),
+        (answer(sunk=(0.0, 0.0)), "adequate", ()),
+        (answer("unknown", sunk=(0.0, 0.3)), "ambiguous", ("ground_pose", "camera_pose")),  # below the ground in one of two
+        (answer("named", sunk=(0.3,)), "ambiguous", ("wind", "ground_pose", "camera_pose")),
+        (answer("named", kinds=("ground_pose",), sunk=(0.3,)), "ambiguous", ("ground_pose", "camera_pose")),
     ],
 )
 def test_the_verdict_follows_from_what_was_found(found, verdict, names):
@@ -194,7 +198,8 @@ def test_what_has_no_name_says_what_the_likeliest_lacks():
             named=[
                 SimpleNamespace(name="wind", left=left, log_evidence=nats, gain=SimpleNamespace(share=share, error=0.1))
                 for left, nats, share in named
-            ]
+            ],
+            sunk=(),
         )
 
     config = DiagnosisConfig()
