@@ -110,7 +110,12 @@ def _same(one: Scenario, other: Scenario) -> bool:
 
 
 def _body(one: Scenario) -> Body:
-    return bodies_of([one.observed()])[0]
+    """Raises ValueError where no body is seen in frame 0; tracks of one that lies below the told ground may have been raised onto it."""
+    try:
+        return bodies_of([one.observed()])[0]
+    except ValueError as error:
+        below = f"; {one.name} lies below the told ground in frame 0: ask it alone" if sunk(one.observed()) else ""
+        raise ValueError(f"{error}{below}") from None
 
 
 def _alike(first: Body, recording: Scenario, one: Scenario) -> None:

@@ -77,6 +77,20 @@ def test_few_points_or_frames_are_refused():
     suitable([one], [seldom])  # nothing is fitted to a transfer recording: what is seen of it is compared
 
 
+def test_what_lies_below_the_ground_and_shows_no_body_says_so(monkeypatch):
+    def no_body(recordings):
+        raise ValueError("no line")
+
+    monkeypatch.setattr("twinbench.diagnosis.suitable.bodies_of", no_body)
+    one = block("first")
+    up = -one.gravity / np.linalg.norm(one.gravity)
+    below = replace(one, name="second", ground=Plane(up, float((one.points[0] @ up).max() + 0.02)))
+    with pytest.raises(ValueError, match="^no line$"):
+        suitable([one])
+    with pytest.raises(ValueError, match="no line; second lies below the told ground in frame 0: ask it alone"):
+        suitable([below])
+
+
 def test_options_that_the_twin_has_no_use_for_are_refused():
     one = block()
     with pytest.raises(ValueError, match="unknown twin 'cloud'"):
