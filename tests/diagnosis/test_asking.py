@@ -85,7 +85,7 @@ def test_what_lies_below_the_ground_and_shows_no_body_says_so(monkeypatch):
     one = block("first")
     up = -one.gravity / np.linalg.norm(one.gravity)
     below = replace(one, name="second", ground=Plane(up, float((one.points[0] @ up).max() + 0.02)))
-    with pytest.raises(ValueError, match="^no line$"):
+    with pytest.raises(ValueError, match=r"^no line$"):
         suitable([one])
     with pytest.raises(ValueError, match="no line; second lies below the told ground in frame 0: ask it alone"):
         suitable([below])
