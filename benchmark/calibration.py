@@ -15,6 +15,7 @@ import numpy as np
 
 from ..diagnosis.config import DiagnosisConfig
 from ..diagnosis.inference.controls import Controls
+from .challenge.statistics import clopper_pearson
 from .picture import COLORS, blank_figure, drawable, save
 
 __all__ = ["Spread", "draw", "main", "sealed"]
@@ -35,12 +36,11 @@ class Spread:
 
     @classmethod
     def of(cls, values, level: float) -> Spread:
-        from scipy.stats import binomtest, kstest
+        from scipy.stats import kstest
 
         values = np.asarray(values, float)
         below = int((values < level).sum())
-        interval = binomtest(below, len(values)).proportion_ci()
-        return cls(len(values), below, float(interval.low), float(interval.high), float(kstest(values, "uniform").pvalue))
+        return cls(len(values), below, *clopper_pearson(below, len(values)), float(kstest(values, "uniform").pvalue))
 
 
 def sealed(path: Path) -> np.ndarray:

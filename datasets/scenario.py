@@ -12,6 +12,7 @@ import numpy as np
 
 from .findings import Findings, refuse
 from .rules import camera_rules, observed_rules, plane_rules, scenario_rules, split_rules
+from .spacing import spacing
 
 __all__ = ["Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
 
@@ -177,12 +178,7 @@ class Observed:
     @property
     def spacing(self) -> float:
         """Median distance [m] from a particle to its nearest neighbour: what connection radii scale with."""
-        from scipy.spatial import cKDTree
-
-        structure = np.unique(self.structure, axis=0)
-        if len(structure) < 2:
-            return 0.0
-        return float(np.median(cKDTree(structure).query(structure, k=2)[0][:, 1]))
+        return spacing(np.unique(self.structure, axis=0))
 
     def until(self, frames: int) -> Observed:
         """The same with the observations of its first ``frames`` frames alone."""

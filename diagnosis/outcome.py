@@ -111,7 +111,7 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
     told ground in frame 0, which does not tell whether the ground or all cameras are wrong.
     """
     drift, below = (DRIFT,) if _lost(answer, config) else (), tuple(BELOW) if _lies_below(answer) else ()
-    if below and answer.verdict != "named":
+    if _only_lies_below(answer):
         return "ambiguous", (*below, *drift)
     if drift and answer.verdict != "named":
         return "measurement", drift
@@ -135,6 +135,11 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
 
 def _lies_below(answer: Answer) -> bool:
     return max(answer.sunk, default=0.0) > 0
+
+
+def _only_lies_below(answer: Answer) -> bool:
+    """Whether that is all that can be said: nothing else has a name."""
+    return _lies_below(answer) and answer.verdict != "named"
 
 
 def _lost(answer: Answer, config: DiagnosisConfig) -> Wander | None:
@@ -178,7 +183,7 @@ def _why_undecided(answer: Answer, config: DiagnosisConfig) -> str | None:
 
 def _why_open(answer: Answer, verdict: str, config: DiagnosisConfig) -> str | None:
     """Why nothing can be told, or why what was found has no name, in a sentence; None where neither is asked, or nobody knows."""
-    if _lies_below(answer) and answer.verdict != "named":
+    if _only_lies_below(answer):
         return "In frame 0 the body lies below the told ground."
     if verdict == "cannot_tell":
         return _why_undecided(answer, config)
@@ -195,7 +200,7 @@ def chance_of_sound(p: float) -> float:
 
 
 def _probabilities(answer: Answer, verdict: str, lost: Wander | None) -> dict:
-    if _lies_below(answer) and answer.verdict != "named":
+    if _only_lies_below(answer):
         shares = {name: (1 - RIGHT) * share for name, share in BELOW.items()}
         return {name: round(p, 4) for name, p in ({"adequate": RIGHT} | shares | {"unknown": 0.0}).items()}
     if lost and answer.verdict != "named":

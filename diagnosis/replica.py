@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datasets.scenario import Observed
+from ..datasets.spacing import spacing
 from ..methods.continuum.chains import apart, marked_chains, rope_chains
 from ..methods.registration import rigid_transform
 from ..physics.hinges import natural_curvature
@@ -186,7 +187,7 @@ def _drawn(recording, nodes, like, held, fitted) -> _Body:
     else:
         positions, sightings = sight_nodes(recording.points, recording.visible, structure[chosen], fitted=fitted)
     positions[: len(held)] = structure[held]  # a driven marker is where it is
-    own = like.spacing if like else _spacing(positions)
+    own = like.spacing if like else spacing(positions, alone=0.01)
     springs = _joined(positions, object_springs(positions, radius=REACH * own, max_neighbours=MOST))
     chains = marked[1] if marked else rope_chains(apart(positions, sightings.position[:fitted])) or rope_chains(apart(structure[chosen]))
     if chains:
@@ -332,14 +333,6 @@ def _home(recording, positions, like):
 
     source = like.recording.structure
     return material_coordinates(positions, source, colors=colors(recording, positions), reference_colors=colors(like.recording, source))
-
-
-def _spacing(positions):
-    from scipy.spatial import cKDTree
-
-    if len(positions) < 2:
-        return 0.01
-    return float(np.median(cKDTree(positions).query(positions, k=2)[0][:, 1]))
 
 
 def _joined(points, springs):

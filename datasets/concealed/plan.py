@@ -55,26 +55,17 @@ class Preset:
         return tuple(b for b in self.bodies if all(b in table[name].bodies and name not in self.without for name in names))
 
 
+OF_ONE_KIND = Preset(controls=80, levels=tuple(mm / (1000 * FLOOR) for mm in (10, 20, 40)), outside=12, pairs=8)  # of body, each in its own
 PRESETS = {
     "quick": Preset(controls=6, levels=(2.0,), outside=2, pairs=2, effects=8),
     "full": Preset(controls=64, levels=(0.5, 1.0, 2.0, 4.0, 8.0), outside=21, pairs=24),
-    "ropes": Preset(
-        controls=80,
-        levels=tuple(mm / (1000 * FLOOR) for mm in (10, 20, 40)),
-        outside=12,
-        pairs=8,
+    "ropes": replace(
+        OF_ONE_KIND,
         thin="resolved",
         bodies=("rope",),
         without=("bending", "bending_damping", "torsion", "grip_points"),  # a twin that bends and twists fits all of these
     ),
-    "blocks": Preset(
-        controls=80,
-        levels=tuple(mm / (1000 * FLOOR) for mm in (10, 20, 40)),
-        outside=12,
-        pairs=8,
-        solids="hexahedra",
-        bodies=("plush",),
-    ),
+    "blocks": replace(OF_ONE_KIND, solids="hexahedra", bodies=("plush",)),
 }
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...datasets.spacing import spacing
 from ...methods.continuum.scene import Scene
 from ...physics.terms.base import Term
 
@@ -104,19 +105,12 @@ class Effect:
         shapes = [dict(zip(self.shapes, row, strict=True)) for row in product(*self.shapes.values())]
         if not self.place:
             return [Candidate(self, shape) for shape in shapes]
-        widest = WIDE * _apart(np.asarray(places))
+        widest = WIDE * spacing(places, alone=np.inf)
         shapes = [{name: min(value, widest) if name == self.within else value for name, value in shape.items()} for shape in shapes]
         spots = [{f"{self.place}_{axis}": float(c) for axis, c in zip("xyz", at, strict=True)} for at in places]
         if self.anchored:
             spots = [s | {f"{self.place}_anchor_{axis}": s[f"{self.place}_{axis}"] for axis in "xyz"} for s in spots]
         return [Candidate(self, shape | spot, laid or {}) for shape in shapes for spot in spots]
-
-
-def _apart(places) -> float:
-    """m, the median way from one of ``places`` (P, 3) to the next; infinite of a single one."""
-    from scipy.spatial import cKDTree
-
-    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1])) if len(places) > 1 else np.inf
 
 
 @dataclass(frozen=True)

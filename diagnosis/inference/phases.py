@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -212,7 +212,7 @@ def weighed(
         prior,
         tuple(named),
         chances,
-        _parallel(whole, rows, first, [s for s in e.catalogue if s.name not in _refuted(named, config)], config) if first else (),
+        _parallel(whole, rows, first, e.catalogue, _refuted(named, config), config) if first else (),
         tuple(detectable(scatter, prior, test, e.catalogue, config.level)),
         tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change)),
         e.forward.cost.runs,
@@ -322,14 +322,14 @@ def _refuted(named: Sequence[Named], config: DiagnosisConfig) -> set[str]:
     return {one.name for one in named[1:] if one.log_evidence < named[0].log_evidence - config.clearly}
 
 
-def _parallel(likelihood, rows, first: Signature, catalogue, config: DiagnosisConfig) -> tuple[str, ...]:
-    """Names of other effects in whose whitened span, or in the span of which, the first one's signature nearly lies."""
+def _parallel(likelihood, rows, first: Signature, catalogue, refuted: Container[str], config: DiagnosisConfig) -> tuple[str, ...]:
+    """Names of other effects, not ``refuted``, in whose whitened span, or in the span of which, the first one's signature nearly lies."""
     from scipy.linalg import subspace_angles
 
     own = likelihood.whitened(fitted_rows(first, rows).columns)
     found = []
     for one in catalogue:
-        if one.name != first.name:
+        if one.name != first.name and one.name not in refuted:
             least = np.cos(subspace_angles(own, likelihood.whitened(fitted_rows(one, rows).columns)))[0]
             found += [one.name] * bool(least > config.parallel)
     return tuple(dict.fromkeys(found))

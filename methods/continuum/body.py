@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...datasets.scenario import Observed
+from ...datasets.spacing import spacing
 from ...physics.grids import Grid
 from .gridding import grid_of, spread_over
 from .inside import inside_of
@@ -90,8 +91,6 @@ def body_of(recording: Observed, *, kind: str | None = None, pitch: float | None
 
 def _known(recording, where):
     """Points of the body in frame 0 that were seen, are driven or come from a shape prior, and their spacing [m]; no few markers."""
-    from scipy.spatial import cKDTree
-
     tracked = recording.known[: recording.counts[0]].copy()
     given = len(recording.surface) + len(recording.interior)
     if tracked.sum() < MARKERS * given:
@@ -103,7 +102,7 @@ def _known(recording, where):
         raise ValueError(f"the points of a body must be finite in frame 0, {int((~np.isfinite(points)).any(1).sum())} are not{where}")
     if len(points) < FEWEST:
         raise ValueError(f"a body must have at least {FEWEST} points in frame 0 that were seen or supplied, got {len(points)}{where}")
-    return points, float(np.median(cKDTree(points).query(points, k=2)[0][:, 1]))
+    return points, spacing(points)
 
 
 def _completed(recording, points, spacing, *, surely):

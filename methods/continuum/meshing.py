@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...datasets.spacing import spacing
+
 __all__ = ["located", "meshed", "smoothed"]
 
 WIDE = 1.3  # of the nodes' distance: radius of the largest circle around a triangle; larger ones are bays of the outline
@@ -18,7 +20,7 @@ def meshed(flat, count: int) -> tuple[np.ndarray, np.ndarray, float]:
     Each node is the point that is farthest from those before it, the first the one farthest from the middle; triangles are Delaunay's
     without the bays of the outline. Raises ValueError for points in a row.
     """
-    from scipy.spatial import Delaunay, cKDTree
+    from scipy.spatial import Delaunay
 
     flat = np.asarray(flat, float)
     nodes = [int(np.linalg.norm(flat - flat.mean(0), axis=1).argmax())]
@@ -29,7 +31,7 @@ def meshed(flat, count: int) -> tuple[np.ndarray, np.ndarray, float]:
     nodes = np.array(nodes)
     if len(nodes) < 4 or np.linalg.svd(flat[nodes] - flat[nodes].mean(0), compute_uv=False)[1] < 1e-6:
         raise ValueError(f"the points of a sheet must fill an area, got {len(nodes)} in a row")
-    pitch = float(np.median(cKDTree(flat[nodes]).query(flat[nodes], k=2)[0][:, 1]))
+    pitch = spacing(flat[nodes])
     triangles = Delaunay(flat[nodes]).simplices
     corners = flat[nodes][triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)

@@ -113,7 +113,7 @@ def test_metrics_appearance_and_layouts_are_made_of_their_own_modules():
         "__init__.py",
         "spelling.py",
         "metrics/base.py",
-        *(f"datasets/{name}.py" for name in ("findings", "plugins", "rules", "scenario")),
+        *(f"datasets/{name}.py" for name in ("findings", "plugins", "rules", "scenario", "spacing")),
     }
     assert files(metrics()["chamfer"]) == common | {"metrics/chamfer.py"}
     assert files(metrics()["iou"]) == common | {"metrics/iou.py", "metrics/masked.py"}
