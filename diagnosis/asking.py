@@ -23,10 +23,11 @@ from .inference.blocks import is_marked
 from .inference.contrast import comparable, until
 from .inference.peers import FEWEST, compared, there
 from .inference.phases import Answer, Evidence, Named, gathered, tested, weighed
+from .inference.planning import Plan
 from .outcome import Outcome, verdict_of
 from .suitable import suitable
 
-__all__ = ["Asked", "ask", "asked", "sound_twin", "told_twin"]
+__all__ = ["Asked", "ask", "asked", "informed", "sound_twin", "told_twin"]
 
 LOST = 0.5  # of the motion: a twin that misses more was fitted to nonsense, and what a little of an effect does to it means nothing. Where
 # it misses less, effects of the catalogue say what a hand does, and a hand that goes where it likes would explain much that none did
@@ -107,13 +108,36 @@ def asked(
         answer = believed(hold, answer, evidence, config)
         if answer.verdict == "named":
             return Asked(twin, evidence, answer, hold.twin, hold.tracks)
-    told = None
-    if answer.verdict == "named" and (fitted_on or against or answer.named[0].candidate.effect.seen):
-        told = _refitted_twin(twin, evidence, answer.named[0])
-    elif answer.verdict == "named":
-        progress(f"fitting the twin with {answer.named[0].words}")
-        told = told_twin(twin, [one.observed() for one in recordings], answer.named[0], _coarse(config, recordings), seed=seed)
+    beside, first = bool(fitted_on or against), answer.named[0] if answer.verdict == "named" else None
+    told = _with(first, twin, evidence, config, beside=beside, seed=seed, progress=progress) if first else None
     return Asked(twin, evidence, answer, told)
+
+
+def informed(
+    recordings: Sequence[Scenario],
+    missing: Mapping[str, np.ndarray | None],
+    *,
+    transfer: Sequence[Scenario] = (),
+    config: DiagnosisConfig | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    progress: Tell = lambda said: None,
+) -> Outcome:
+    """What ``ask`` returns where it is known which effects are ``missing``, by name with the place (3,) m of frame 0 or None: only how much
+    is asked. Of several the one is taken that is likeliest. Of what a twin of such a body cannot have, or what moves nothing here, nothing
+    is fitted. Raises ValueError as ``suitable`` does.
+    """
+    begun, config = time.time(), config or DiagnosisConfig()
+    suitable(recordings, transfer, config=config)
+    progress("fitting a sound twin")
+    twin = sound_twin(recordings, config, seed=seed, device=device)
+    evidence = gathered(twin, recordings, config, missing=missing, seed=seed, progress=progress)
+    answer = weighed(evidence, config, replace(tested(evidence, config), told=True), progress=progress)
+    told = None
+    if answer.named:
+        answer = replace(answer, verdict="named")
+        told = _with(answer.named[0], twin, evidence, config, seed=seed, progress=progress)
+    return _outcome(Asked(twin, evidence, answer, told), dict(case=recordings, transfer=transfer), config, begun)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +182,17 @@ def _whole(recording: Scenario) -> Scenario:
     return recording.with_split(recording.frame_count)
 
 
+def _with(
+    named: Named, twin: ContinuumTwin, evidence: Evidence, config: DiagnosisConfig, *, beside: bool = False, seed: int, progress: Tell
+) -> ContinuumTwin:
+    """``twin`` with what was ``named``; ``beside`` recordings in which nothing is missing."""
+    if beside or named.candidate.effect.seen:
+        return _refitted_twin(twin, evidence, named)
+    progress(f"fitting the twin with {named.words}")
+    recordings = evidence.forward.recordings
+    return told_twin(twin, [one.observed() for one in recordings], named, _coarse(config, recordings), seed=seed)
+
+
 def _refitted_twin(twin: ContinuumTwin, evidence: Evidence, named: Named) -> ContinuumTwin:
     """``twin`` at the numbers of the refit: a further fit would let the effect act where nothing is missing as well.
 
@@ -195,16 +230,21 @@ def ask(
     suitable(recordings, transfer, fitted_on=fitted_on, against=against, config=config)
     options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
     found = asked(recordings, config, **options)
-    roles = dict(case=recordings, fitted_on=fitted_on, against=against, transfer=transfer)
-    parts = [(one, role) for role, group in roles.items() for one in group]
-    runs = []
-    for k, (one, _) in enumerate(parts):
-        runs.append([_run(twin, one, first=not k) for twin in (found.twin, found.told)])
     verdict, names = verdict_of(found.answer, config)
     plan = None
     if plannable(found.evidence, verdict, config):
         progress("looking for a motion that would tell more")
         plan = planned(found.evidence, found.answer, verdict, names, config)
+    roles = dict(case=recordings, fitted_on=fitted_on, against=against, transfer=transfer)
+    return _outcome(found, roles, config, begun, plan)
+
+
+def _outcome(
+    found: Asked, roles: Mapping[str, Sequence[Scenario]], config: DiagnosisConfig, begun: float, plan: Plan | None = None
+) -> Outcome:
+    """Of recordings by their roles, those that were asked first."""
+    parts = [(one, role) for role, group in roles.items() for one in group]
+    runs = [[_run(twin, one, first=not k) for twin in (found.twin, found.told)] for k, (one, _) in enumerate(parts)]
     return Outcome.of(found, parts, runs, config, plan=plan, seconds=time.time() - begun)
 
 

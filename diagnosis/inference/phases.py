@@ -58,14 +58,16 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Tested:
-    """The prior of the covariance, the test, and whether anything says how far a sound twin of such a body is off (``founded``)."""
+    """The prior of the covariance, the test, whether anything says how far a sound twin of such a body is off (``founded``), and whether
+    somebody ``told`` that something is missing."""
 
     prior: Prior
     test: Significance
     founded: bool
+    told: bool = False
 
     def alarms(self, config: DiagnosisConfig) -> bool:
-        return self.founded and self.test.p < config.level
+        return self.told or (self.founded and self.test.p < config.level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +132,14 @@ def gathered(
     *,
     sound: Iterable[int] = (),
     against: bool = False,
+    missing: Mapping[str, np.ndarray | None] | None = None,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> Evidence:
     """All roll-outs but the refits': the reference and its slopes, members, signatures.
 
-    ``sound`` recordings are known to lack nothing; ``against``: the first is compared with the others, see ``contrast``.
+    ``sound`` recordings are known to lack nothing; ``against``: the first is compared with the others, see ``contrast``; effects that
+    are known to be ``missing`` are asked alone, see ``signatures``.
     """
     tell = progress or (lambda _: None)
     forward = Forward.of(twin, recordings, config, sound, against=against)
@@ -156,7 +160,7 @@ def gathered(
     both = np.concatenate([runs, forward.data[None]])
     left, settled = absorb(both, reference, slopes, sd, forward.at, forward.bounds, rounds=config.rounds)
     heard = np.sqrt(np.diag(noise) + np.mean(left[:-1] ** 2, 0))
-    catalogue = signatures(forward, paths, reference, config, left[-1], heard)
+    catalogue = signatures(forward, paths, reference, config, left[-1], heard, missing)
     tell(f"signatures of {len(catalogue)} candidates")
     usual = usual_errors([] if against else catalogue, layout.record)  # recordings that are compared share it
     scatter = Scatter(left[:-1], noise, slopes, usual, layout, 0.0 if against else 1e-3 * config.floor)

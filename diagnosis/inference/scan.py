@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -55,13 +55,20 @@ class Score:
 
 
 def signatures(
-    forward: Forward, paths: Sequence[np.ndarray], reference, config: DiagnosisConfig, residual=None, sd=None
+    forward: Forward,
+    paths: Sequence[np.ndarray],
+    reference,
+    config: DiagnosisConfig,
+    residual=None,
+    sd=None,
+    missing: Mapping[str, np.ndarray | None] | None = None,
 ) -> list[Signature]:
     """What each candidate that shows in the recordings does, beside the reference's ``paths``, R of (T, M, 3) m, and block means (B,) m.
 
     By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Places on
     the body are those of frame 0 of the first recording that is asked, and where they are in others follows from how the body lies there;
     where that leaves a choice (``Body.ways``), it is made by ``residual`` (B,) m, of deviations ``sd`` (B,): see ``_turned``.
+    Where effects are known to be ``missing``, by name with their place (3,) m or None, no others are asked, and nowhere else.
     """
     kind, asked_of = forward.simulators[0].scene.body.kind, forward.asked
     grounded = all(forward.simulators[r].scene.ground is not None for r in asked_of)
@@ -69,13 +76,15 @@ def signatures(
     fitted = forward.layout.fitted
     passed = _passed(forward, paths[asked_of[0]], asked_of[0])
     laid = _laid(forward)
-    asked = [e for e in effects(kind) if grounded or not e.grounded]
+    asked = [e for e in effects(kind) if (grounded or not e.grounded) and (missing is None or e.name in missing)]
+    told = {name: place[None] for name, place in (missing or {}).items() if place is not None}
+    where = {e.name: told.get(e.name, passed if e.roaming else places) for e in asked}
     groups: dict[str, list] = {}
     for effect in asked:
         groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
     found = []
     for group in groups.values():
-        plan = [(c, j) for e in group for c in e.candidates(passed if e.roaming else places, laid) for j in range(len(e.amounts))]
+        plan = [(c, j) for e in group for c in e.candidates(where[e.name], laid) for j in range(len(e.amounts))]
         extended = forward.with_effects(c for c, _ in plan)
         columns = _measured(extended, reference, plan, config)
         if residual is not None:

@@ -9,7 +9,7 @@ import pytest
 from blocks import FRAMES, lifted, recorded
 from twinbench.benchmark.challenge.schema import Answer
 from twinbench.datasets.scenario import Plane, Split
-from twinbench.diagnosis.asking import ask, sound_twin
+from twinbench.diagnosis.asking import ask, informed, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
 from twinbench.diagnosis.diagnosed import extend
@@ -204,6 +204,18 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
     sound = ask([block("sound", seed=5), block("other", seed=6)], config=CONFIG)
     assert sound.result["test"]["p"] > 0.03 and sound.result["effect"] is None
     assert {part["record"] for part in sound.result["budget"]} == {0, 1}
+
+
+@pytest.mark.slow
+def test_who_is_told_what_is_missing_sizes_it_and_nothing_else():
+    blown = [block(name, seed=k, extra=(Wind(),), wind_y=20.0, wind_speed=3.0) for k, name in enumerate(("first", "second"))]
+    told = informed(blown[:1], {"wind": None}, transfer=blown[1:], config=CONFIG).result
+    assert told["effect"] == "wind" and {h["effect"] for h in told["evidence"]["hypotheses"]} == {"baseline", "wind"}
+    assert told["fit"]["transfer"]["extended"] < 0.7 * told["fit"]["transfer"]["baseline"]
+    pull = [told["parameters"][f"wind_{axis}"]["value"] for axis in "xyz"]
+    assert pull[1] == pytest.approx(20.0, rel=0.3) and np.hypot(pull[0], pull[2]) < 0.3 * pull[1]
+    nothing = informed(blown[:1], {"torsion": None}, config=CONFIG).result  # a block has no twist
+    assert nothing["effect"] is None and nothing["parameters"] == {} and nothing["fit"]["train"]["extended"] is None
 
 
 def test_what_has_no_name_says_what_the_likeliest_lacks():

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -83,6 +84,28 @@ def test_the_oracle_says_what_there_is(given, kind, verdict):
     told = replace(given, label={"kind": kind, "effect": None})
     vars(told)["diagnosis"] = given.diagnosis
     assert entrants()["oracle"].answer(told)["verdict"] == verdict
+
+
+def test_the_oracle_asks_a_continuum_where_the_diagnosis_does(given, monkeypatch):
+    asked = []
+
+    def informed(recordings, missing, **about):
+        asked.append((len(recordings), missing, about["transfer"]))
+        part = {"baseline": 2.0, "extended": 1.0, "noise_floor": 0.1}
+        return SimpleNamespace(result={"parameters": {}, "fit": dict.fromkeys(("train", "heldout", "transfer"), part)})
+
+    monkeypatch.setattr("twinbench.benchmark.challenge.entrants.oracle.informed", informed)
+    weight = LABEL | {"effect": "added_mass", "place": [{"centroid": [0.1, 0.2, 0.3], "radius": 0.02, "points": [1]}, None]}
+    pair = LABEL | {"effect": "gravity_tilt+added_mass", "parts": [LABEL, weight]}
+    for more, label in ((2, LABEL), (1, pair)):
+        said = entrants()["oracle"].answer(replace(given, more=(given.transfer,) * more, label=label))
+        assert (said["verdict"], said["effect"], said["fit"]["transfer"]["extended"]) == ("missing", "gravity_tilt", 1.0)
+    assert said["alternatives"] == ["added_mass"]
+    assert [(count, list(missing)) for count, missing, _ in asked] == [(3, ["gravity_tilt"]), (2, ["gravity_tilt", "added_mass"])]
+    assert asked[1][1]["added_mass"].tolist() == [0.1, 0.2, 0.3] and asked[1][1]["gravity_tilt"] is None
+    assert all(transfer == [given.transfer] for *_, transfer in asked)
+    sound = entrants()["oracle"].answer(replace(given, more=(given.transfer,), label={"kind": "control", "effect": None}))
+    assert sound["verdict"] == "adequate" and len(asked) == 2
 
 
 def test_baselines_name_nothing_and_more_numbers_fit_better(answered):

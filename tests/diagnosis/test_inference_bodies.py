@@ -184,6 +184,15 @@ def test_a_place_is_looked_for_on_the_body_in_each_recording(twin, recording):
         assert own @ other > 0.99 * np.linalg.norm(own) * np.linalg.norm(other)  # laid a millimetre aside, in cells of 2 cm
 
 
+def test_who_knows_what_is_missing_asks_of_nothing_else(twin, recording):
+    forward = Forward.of(twin, [recording], CONFIG)
+    paths, reference = forward.reference()
+    place = forward.blocks[0].regions[0] + 0.003  # where nobody would have looked
+    found = signatures(forward, paths, reference, CONFIG, missing={"added_mass": place, "gravity_tilt": None, "torsion": None})
+    assert [one.name for one in found] == ["gravity_tilt", "added_mass"]  # torsion is a rope's
+    np.testing.assert_array_equal(found[1].candidate.place, place)
+
+
 def test_the_end_of_a_rope_is_the_one_that_explains_more(monkeypatch):
     # two recordings of four numbers; what a place does in the second, laid the first way, is 1, and the other way -1, as was seen
     forward = SimpleNamespace(

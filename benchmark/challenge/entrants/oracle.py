@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....diagnosis.diagnose import noise_floor
+from ....diagnosis.asking import informed
+from ....diagnosis.diagnose import MEMBERS, noise_floor
 from ....diagnosis.hypotheses import Hypothesis
 from ....diagnosis.inquiry import PRESETS
 from ....diagnosis.refit import evaluate, refit
 from ....diagnosis.screen import screen
+from ....diagnosis.suitable import has_continuum
 from .base import Entrant, answer, mean_of, tasks
 
 __all__ = ["ENTRANT", "Oracle"]
@@ -19,18 +21,23 @@ TRIED = 3  # hypotheses of the true effect that are refitted, those that explain
 
 
 class Oracle(Entrant):
-    """The true effect's terms at the true place, refitted with the budget of every refit; of several the one that fits best.
+    """The true effect at the true place, refitted with the budget of every refit, to a continuum wherever the diagnosis asks one.
 
-    Of two effects the second is added to the twin with the first. What has no term in the twin is named, and closes nothing.
+    Of two effects a continuum gets the likelier one, and springs both, one after the other. What has no term in the twin is named, and
+    closes nothing.
     """
 
     name = "oracle"
     told = True
 
     def answer(self, given):
-        label, inquiry = given.label, given.unrefitted
+        label = given.label
+        assert label is not None  # an oracle is told
+        if given.more or has_continuum(given.fit):
+            return _of_continuum(given, label)
+        inquiry = given.unrefitted
         floor = noise_floor(inquiry)
-        assert label is not None and inquiry.yardstick is not None  # an oracle is told, and works on a whole diagnosis
+        assert inquiry.yardstick is not None  # it works on a whole diagnosis
         if label["kind"] == "control":
             return answer("adequate", fit=mean_of(inquiry, inquiry.base, inquiry.base, floor))
         if label["kind"] == "outside":
@@ -52,16 +59,31 @@ class Oracle(Entrant):
             found = fits[best]
             chosen.append(scores[best].hypothesis)
         before, after = (evaluate(wide, f, inquiry.parts) for f in (plain, found)) if chosen else (inquiry.base, None)
-        place = one_place(concealed)
-        return answer(
-            "named",
-            concealed[0]["effect"],
-            alternatives=[one["effect"] for one in concealed[1:]],
-            where=place and {"points": place["points"], "centroid": place["centroid"], "radius": place["radius"]},
-            when={"frames": [concealed[0]["onset"][0] or 0, inquiry.case.frames]},
-            parameters={k: v for h in chosen for k, v in _amplitudes(found, h).items()},
-            fit=mean_of(inquiry, before, after, floor),
-        )
+        parameters = {k: v for h in chosen for k, v in _amplitudes(found, h).items()}
+        return _named(concealed, given, parameters, mean_of(inquiry, before, after, floor))
+
+
+def _of_continuum(given, label) -> dict:
+    if label["kind"] in ("control", "outside"):  # there is nothing to size
+        return answer("adequate" if label["kind"] == "control" else "unknown")
+    concealed = label.get("parts") or [label]
+    missing = {one["effect"]: np.array(one["place"][0]["centroid"]) if one["place"][0] else None for one in concealed}
+    recordings = [given.fit, *given.more]
+    found = informed(recordings, missing, transfer=[given.transfer], config=MEMBERS[given.preset], device=given.device).result
+    return _named(concealed, given, found["parameters"], found["fit"])
+
+
+def _named(concealed, given, parameters, fit) -> dict:
+    place = one_place(concealed)
+    return answer(
+        "named",
+        concealed[0]["effect"],
+        alternatives=[one["effect"] for one in concealed[1:]],
+        where=place and {"points": place["points"], "centroid": place["centroid"], "radius": place["radius"]},
+        when={"frames": [concealed[0]["onset"][0] or 0, given.fit.frame_count]},
+        parameters=parameters,
+        fit=fit,
+    )
 
 
 def one_place(concealed):
