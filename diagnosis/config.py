@@ -52,7 +52,7 @@ class DiagnosisConfig:
                 recording of 33, are at even odds then (ln 24 x 33 = 6.7)
     roaming     standard deviation of where a hand that is not listed may be, from where it held the body in frame 0, in each coordinate
                 and bin [mm]: an arm's length
-    planned     motions that members run through where a recording leaves something open, each at twice the cost of the members
+    planned     motions, at most, that members run through where a recording leaves something open, each at twice the cost of the members
     strengths   of the prior covariance, in members; ``memories`` [s] and ``reaches`` (of the body's extent) of its correlation. They are
                 chosen by the score of members left out; 0 is no correlation
     """

@@ -194,8 +194,11 @@ def weighed(
     asked = list(likely)[: config.refitted] if alarm and refits else []
     while asked:
         for name in asked:
-            own = {k: refitted(*common, e.catalogue[k], config) for k in likely[name]}
-            tried[name] = max(own.items(), key=lambda one: one[1].log_evidence)
+            for k in likely[name]:
+                leading = max((one.log_evidence for _, one in tried.values()), default=-np.inf)
+                own = refitted(*common, e.catalogue[k], config, leading)
+                if name not in tried or own.log_evidence > tried[name][1].log_evidence:
+                    tried[name] = k, own
         gains = {k: one.log_evidence - sound.log_evidence for k, one in tried.values()}
         chances = _chances(test, e.catalogue, gains)
         likeliest = next(iter(chances))  # where refits were worse than their linear evidence, it may be one that was not refitted

@@ -74,7 +74,7 @@ class Plan:
 
     @property
     def telling(self) -> bool:
-        return self.separation >= TELLING and self.look is not None
+        return _tells(self.separation, self.look)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,11 +98,11 @@ class _Moved:
 
 
 def plan(evidence: Evidence, prior: Prior, readings: Sequence[Reading], config: DiagnosisConfig, *, worse: float = 1.0) -> Plan | None:
-    """The best motion of the hands in the first recording to tell two ``readings`` apart, or None where none can be simulated.
+    """A motion of the hands in the first recording that tells two ``readings`` apart, else the best, or None where none can be simulated.
 
     worse  times as much variance as members have: by how much the twin was seen to be farther off in the recording than they are in theirs
-    Members run through the ``config.planned`` motions that would tell best were sound twins never off. Raises ValueError where nobody holds
-    the body, or where members are recordings, which make no other motion.
+    Members run through the ``config.planned`` motions that would tell best were sound twins never off, until one tells. Raises ValueError
+    where nobody holds the body, or where members are recordings, which make no other motion.
     """
     forward = evidence.forward
     if not evidence.members:
@@ -116,17 +116,22 @@ def plan(evidence: Evidence, prior: Prior, readings: Sequence[Reading], config: 
     if not found:
         return None
     found.sort(key=lambda one: -one.bound)
-    tried: list[tuple[float, _Moved, Likelihood]] = []
+    tried: list[tuple[float, Look | None, Motion]] = []
     for one in found[: config.planned]:
         error = _error(one, evidence, prior, config, worse)
         if error is not None:
-            tried.append((float(np.linalg.norm(error.whitened(one.gap))), one, error))
+            tried.append((float(np.linalg.norm(error.whitened(one.gap))), _look(setting, one, error), one.motion))
+            if _tells(*tried[-1][:2]):
+                break
     if not tried:
         return None
-    separation, one, error = max(tried, key=lambda t: t[0])
-    look = _look(setting, one, error)
-    says = _words(setting, readings, one.motion, look if separation >= TELLING else None)
-    return Plan(one.motion, separation, {t[1].motion.name: t[0] for t in tried if t[1] is not one}, look, says)
+    separation, look, motion = max(tried, key=lambda t: (_tells(*t[:2]), t[0]))
+    says = _words(setting, readings, motion, look if separation >= TELLING else None)
+    return Plan(motion, separation, {m.name: d for d, _, m in tried if m is not motion}, look, says)
+
+
+def _tells(separation: float, look: Look | None) -> bool:
+    return separation >= TELLING and look is not None
 
 
 def _moved(evidence: Evidence, motion: Motion, readings, config: DiagnosisConfig) -> _Moved | None:

@@ -23,6 +23,7 @@ TRUSTED = 0.2  # of what slopes promised: a step that gains less says that they 
 FARTHEST = 3.0  # prior standard deviations that a place may be astray
 DIFFERENCE = 0.05  # prior standard deviations
 ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
+HOPE = 5.0  # times what fresh slopes promise: a candidate that would be refuted with as much is not pursued
 
 
 @dataclass(frozen=True)
@@ -59,15 +60,24 @@ class _Place:
 
 
 def refitted(
-    forward: Forward, data, reference, slopes, likelihood: Likelihood, rows, signature: Signature | None, config: DiagnosisConfig
+    forward: Forward,
+    data,
+    reference,
+    slopes,
+    likelihood: Likelihood,
+    rows,
+    signature: Signature | None,
+    config: DiagnosisConfig,
+    best: float = -np.inf,
 ) -> Refit:
     """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
 
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
     a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
-    arrived where fresh slopes lead nowhere. A place has a prior of ``config.astray`` around the one that was tried. What would take more
-    than ``config.dearest`` times the steps is not run. Amounts have a prior by the motion that they make (``amounts``).
+    arrived where fresh slopes lead nowhere. Where they promise too little to come near the ``best`` evidence of others it is given up, and
+    what is reported is a lower bound. A place has a prior of ``config.astray`` around the one that was tried. What would take more than
+    ``config.dearest`` times the steps is not run. Amounts have a prior by the motion that they make (``amounts``).
     """
     count, amounts = slopes.shape[1], len(signature.unit) if signature else 0
     spots = len(signature.candidate.coordinates) if signature else 0
@@ -119,6 +129,8 @@ def refitted(
         fresh = not gained > max(ARRIVED, TRUSTED * promised)
         if fresh:
             jacobian = _slopes(run, at, jacobian, low, high)
+            if HOPE * _step(at, jacobian, data, likelihood, rows, low, high)[1] - at.cost < best - config.clearly:
+                break
     curvature = _curvature(at, jacobian, data, likelihood, rows)
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
