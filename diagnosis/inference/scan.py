@@ -187,18 +187,45 @@ def usual_errors(catalogue: Sequence[Signature], record) -> np.ndarray:
 
 
 def _measured(forward, reference, plan, config):
-    """(P, B) m, derivatives by amounts."""
+    """(P, B) m, derivatives by amounts.
+
+    The first candidate of every amount says about how much of it makes ``config.probe`` mm of motion, also elsewhere and of other shapes.
+    """
     sizes = np.array([c.effect.amounts[j].first for c, j in plan])
-    runs = forward.rows([_row(forward, c, j, s) for (c, j), s in zip(plan, sizes, strict=True)])
-    moved = np.array([motion_of(r - reference) for r in runs])
-    wrong = [k for k, m in enumerate(moved) if not LEAST * config.probe <= m <= MOST * config.probe]  # NaN is wrong, too
-    if wrong:
-        factors = config.probe / np.where(np.isfinite(moved), np.maximum(moved, 1e-3), 100 * config.probe)
-        for k in wrong:
+    runs = np.full((len(plan), len(reference)), np.nan)
+    like = {}
+    for k, (candidate, j) in enumerate(plan):
+        like.setdefault((candidate.effect.name, j), []).append(k)
+
+    def run(which):
+        if which:
+            runs[which] = forward.rows([_row(forward, plan[k][0], plan[k][1], sizes[k]) for k in which])
+
+    def resized(which, factor):
+        for k in which:
             amount = plan[k][0].effect.amounts[plan[k][1]]
-            sizes[k] = np.clip(sizes[k] * factors[k], amount.low, amount.high)
-        runs[wrong] = forward.rows([_row(forward, plan[k][0], plan[k][1], sizes[k]) for k in wrong])
+            sizes[k] = np.clip(sizes[k] * factor, amount.low, amount.high)
+
+    firsts = [own[0] for own in like.values()]
+    run(firsts)
+    for own in like.values():
+        resized(own, _factor(runs[own[0]] - reference, config))
+    right = [k for k in firsts if _factor(runs[k] - reference, config) == 1.0]
+    run([k for k in range(len(plan)) if k not in right])
+    factors = {k: _factor(runs[k] - reference, config) for k in range(len(plan)) if k not in firsts}
+    wrong = [k for k, factor in factors.items() if factor != 1.0]
+    for k in wrong:
+        resized([k], factors[k])
+    run(wrong)
     return (runs - reference) / sizes[:, None]
+
+
+def _factor(moved, config) -> float:
+    """Times as much of an amount that makes ``config.probe`` mm of motion, where some makes ``moved`` (B,) m; 1 where that is near."""
+    motion = motion_of(moved)
+    if LEAST * config.probe <= motion <= MOST * config.probe:
+        return 1.0
+    return config.probe / (max(motion, 1e-3) if np.isfinite(motion) else 100 * config.probe)
 
 
 def motion_of(values) -> float:

@@ -184,6 +184,23 @@ def test_a_place_is_looked_for_on_the_body_in_each_recording(twin, recording):
         assert own @ other > 0.99 * np.linalg.norm(own) * np.linalg.norm(other)  # laid a millimetre aside, in cells of 2 cm
 
 
+def test_one_run_of_an_amount_says_how_much_of_it_shows_elsewhere():
+    # a weight of 0.1 makes as many mm as told at each of six places, and blows up above some; 1 mm is asked for, a fifth to five times it
+    reference, mm, ran = np.zeros(6), np.array([80.0, 40.0, 200.0, 90.0, 2000.0, 1.0]), []
+    weight = next(e for e in effects("rope") if e.name == "added_mass")
+    plan = [(c, 0) for c in weight.candidates(np.arange(18.0).reshape(6, 3))]
+
+    def rows(values):
+        ran.append(len(values))
+        found = np.array([1e-3 * mm[int(v["added_mass_x"] // 3)] * v["added_mass"] / 0.1 for v in values])
+        return np.where(found > 0.1, np.nan, found)[:, None] * np.full(6, 3**-0.5)
+
+    forward = SimpleNamespace(rows=rows, values=lambda shift: {}, unknowns=())
+    slopes = scan._measured(forward, reference, plan, CONFIG)
+    assert slopes == pytest.approx((1e-3 * mm / 0.1)[:, None] * np.full(6, 3**-0.5))
+    assert CONFIG.probe == 1.0 and ran == [1, 6, 2]  # the fifth moves too much at what suits the first, the sixth too little
+
+
 def test_who_knows_what_is_missing_asks_of_nothing_else(twin, recording):
     forward = Forward.of(twin, [recording], CONFIG)
     paths, reference = forward.reference()
