@@ -42,6 +42,8 @@ class DiagnosisConfig:
     probe       motion by which a signature is measured [mm]: above rounding (0.01 mm) and within the effect's linear part
     refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members
     astray      prior standard deviation of each coordinate of a place in such a refit [mm]: places that are tried lie some 5 cm apart
+    reshaped    standard deviation, as a factor, of a time, length or speed of an effect from where it was tried in such a refit: times that
+                are tried lie a factor of four apart, and others are tried at one or two
     steps       of such a refit, at most, of one to three runs each; it ends where fresh slopes lead nowhere, which take as many runs as it
                 has unknowns. Three steps left a wind of 15 mm, nine a hand that gives way (116 mm) far from where refits end; that one
                 takes twenty
@@ -79,6 +81,7 @@ class DiagnosisConfig:
     probe: float = 1.0
     refitted: int = 4
     astray: float = 25.0
+    reshaped: float = 2.0
     steps: int = 24
     runs: int = 120
     parallel: float = 0.95

@@ -93,6 +93,13 @@ class Effect:
         """Of its term: effects of one stage are asked in one system."""
         return self.term.stage if self.term else ""
 
+    @property
+    def forms(self) -> tuple[str, ...]:
+        """Names of the shapes that are fitted from where they are tried: those of any order of magnitude, as times and lengths are; not how
+        far around its place it reaches, which is as far as the next place."""
+        known = self.term.parameters if self.term else ()
+        return tuple(p.name for p in known if p.name in self.shapes and p.scale == "log" and p.name != self.within)
+
     def values(self, amounts: Mapping[str, float]) -> dict[str, float]:
         """What a simulator is given for ``amounts``."""
         return dict(self.law(amounts)) if self.law else dict(amounts)
@@ -141,6 +148,12 @@ class Candidate:
     def shifted(self, by) -> Candidate:
         """Elsewhere: ``by`` (k,) m of its coordinates."""
         return replace(self, fixed={**self.fixed, **{n: self.fixed[n] + float(b) for n, b in zip(self.coordinates, by, strict=True)}})
+
+    def formed(self, factors) -> Candidate:
+        """Of other shapes: ``factors`` (f,) times those that are fitted (``Effect.forms``), within what its term allows."""
+        names, known = self.effect.forms, {p.name: p for p in self.effect.term.parameters} if self.effect.term else {}
+        forms = {n: float(np.clip(self.fixed[n] * f, known[n].low, known[n].high)) for n, f in zip(names, factors, strict=True)}
+        return replace(self, fixed={**self.fixed, **forms})
 
     def values(self, sizes) -> dict[str, float]:
         """What a simulator is given where the amounts are ``sizes`` (m,)."""

@@ -38,6 +38,7 @@ DECIDING = (
     "repeat",
     "refitted",
     "astray",
+    "reshaped",
     "steps",
     "runs",
     "parallel",

@@ -1,4 +1,5 @@
-"""A candidate fitted in full: its amounts, its place and all that a sound twin's fit may change, weighed by the error of sound twins."""
+"""A candidate fitted in full: its amounts, its place, its shape and all that a sound twin's fit may change, weighed by the error of sound
+twins."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ __all__ = ["Gain", "Refit", "gained", "refitted"]
 
 TRIALS = (1.0, 0.4, 0.1)  # of a Gauss-Newton step, one after the other until one is better
 TRUSTED = 0.2  # of what slopes promised: a step that gains less says that they are those of elsewhere
-FARTHEST = 3.0  # prior standard deviations that a place may be astray
+FARTHEST = 3.0  # prior standard deviations that a place or a shape may be astray
 DIFFERENCE = 0.05  # prior standard deviations
 ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
 HOPE = 5.0  # times what fresh slopes promise: a candidate that would be refuted with as much is not pursued
@@ -51,8 +52,8 @@ class Refit:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """numbers (n + m + k,) in prior standard deviations, k of them coordinates of the effect's place; the prediction (B,) there, and the
-    negative log posterior."""
+    """numbers (n + m + k + f,) in prior standard deviations, k of them coordinates of the effect's place and f its shapes; the prediction
+    (B,) there, and the negative log posterior."""
 
     numbers: np.ndarray
     prediction: np.ndarray
@@ -76,11 +77,12 @@ def refitted(
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
     a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
     arrived where fresh slopes lead nowhere. Where they promise too little to come near the ``best`` evidence of others it is given up, and
-    what is reported is a lower bound. A place has a prior of ``config.astray`` around the one that was tried. What would take more than
-    ``config.dearest`` times the steps is not run. Amounts have a prior by the motion that they make (``amounts``).
+    what is reported is a lower bound. A place has a prior of ``config.astray`` around the one that was tried, the logarithm of a shape one
+    of ``config.reshaped``, amounts one by the motion that they make (``amounts``). What would take more than ``config.dearest`` times the
+    steps is not run.
     """
     count, amounts = slopes.shape[1], len(signature.unit) if signature else 0
-    spots = len(signature.candidate.coordinates) if signature else 0
+    spots, forms = (len(signature.candidate.coordinates), len(signature.candidate.effect.forms)) if signature else (0, 0)
     twins = forward.with_effects([signature.candidate]) if signature else forward
     low, high = forward.bounds
 
@@ -88,7 +90,8 @@ def refitted(
 
     def there(numbers) -> Candidate:
         assert signature is not None  # only what has a signature has a place
-        return signature.candidate.shifted(1e-3 * config.astray * numbers[count + amounts :])
+        at, form = np.split(numbers[count + amounts :], [spots])
+        return signature.candidate.shifted(1e-3 * config.astray * at).formed(config.reshaped**form)
 
     def simulated(shifts, more):
         rows = [{**forward.values(s), **one} for s, one in zip(shifts, more, strict=True)]
@@ -97,9 +100,10 @@ def refitted(
     if signature is not None:
         tried = signature.candidate
         scale = Scale.of(signature, lambda a: simulated(np.zeros((len(a), count)), map(tried.values, a)), reference, config.motion)
-        low, high = np.r_[low, scale.low, np.full(spots, -FARTHEST)], np.r_[high, scale.high, np.full(spots, FARTHEST)]
+        astray = np.full(spots + forms, FARTHEST)
+        low, high = np.r_[low, scale.low, -astray], np.r_[high, scale.high, astray]
         own = signature.columns / signature.unit * scale.slope(np.zeros(amounts))
-        slopes = np.c_[slopes, own, np.zeros((len(slopes), spots))]
+        slopes = np.c_[slopes, own, np.zeros((len(slopes), spots + forms))]
 
     def run(numbers):
         more = ({} if signature is None else there(row).values(scale.amounts(row[count : count + amounts])) for row in numbers)

@@ -19,6 +19,7 @@ from twinbench.diagnosis.inference.refit import gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
+from twinbench.physics.parameters import Parameter
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
 SIZE = 3 * REGIONS * TIMES
@@ -365,6 +366,42 @@ def test_a_refit_finds_the_place_of_an_effect_beside_the_one_that_was_tried():
     assert np.linalg.norm(found.candidate.place - Placed.true) < 0.012 < np.linalg.norm(stuck.candidate.place - Placed.true)
     assert found.log_evidence > stuck.log_evidence + 3
     assert found.amounts.shape == found.sd.shape == (1,)
+
+
+class Paced(Bent):
+    """Twins whose one effect has a pace: a power of two of it turns the effect's column by as much of another one."""
+
+    def rows(self, rows):
+        self.cost.runs += len(rows)
+        found = self.world.run(np.array([[r[u.name] for u in self.unknowns] for r in rows]))
+        return found + np.array([r.get("push", 0.0) * (self.column + np.log2(r.get("pace", 1.0)) * self.way) for r in rows])
+
+
+def test_a_refit_finds_the_pace_of_an_effect_beside_the_one_that_was_tried():
+    # the effect is 2.5 times as fast as was tried; one that nothing tells of stays where it was tried, and costs no evidence
+    world = World(12)
+    law = SimpleNamespace(
+        parameters=(Parameter("pace", 1.0, 0.1, 10.0, "s", "how fast", "log"), Parameter("reach", 1.0, 0.1, 9.0, "m", "how far", "log"))
+    )
+    paced = replace(effect(), term=law, shapes={"pace": (1.0,), "reach": (1.0,)}, within="reach")
+    assert paced.forms == ("pace",)
+    one = replace(world.catalogue[0], candidate=Candidate(paced, {"pace": 1.0, "reach": 1.0}))
+    scatter, _, _ = world.evidence(world.reference)
+    fitting = scatter.likelihood(PRIOR, parameters=False)
+    still = dict(p0=0.0, p1=0.0, p2=0.0)
+
+    def found(way, pace, **more):
+        twins = Paced(world, one.columns[:, 0])
+        twins.way = way
+        data = twins.rows([still | dict(push=10.0, pace=pace)])[0]
+        return refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig(**more))
+
+    turned = world.catalogue[1].columns[:, 0]
+    right, kept = found(turned, 2.5), found(turned, 2.5, reshaped=1.0)
+    assert right.candidate.fixed["pace"] == pytest.approx(2.5, rel=0.1) and right.candidate.fixed["reach"] == 1.0
+    assert kept.candidate.fixed["pace"] == 1.0 and right.log_evidence > kept.log_evidence + 3
+    blind, plain = found(np.zeros(SIZE), 2.5), found(np.zeros(SIZE), 2.5, reshaped=1.0)
+    assert blind.candidate.fixed["pace"] == pytest.approx(1.0) and blind.log_evidence == pytest.approx(plain.log_evidence)
 
 
 def test_amounts_have_a_prior_by_what_they_do():
