@@ -74,7 +74,7 @@ class Plan:
 
     @property
     def telling(self) -> bool:
-        return _tells(self.separation, self.look)
+        return self.separation >= TELLING and self.look is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,22 +116,24 @@ def plan(evidence: Evidence, prior: Prior, readings: Sequence[Reading], config: 
     if not found:
         return None
     found.sort(key=lambda one: -one.bound)
-    tried: list[tuple[float, Look | None, Motion]] = []
+    tried: list[Plan] = []
     for one in found[: config.planned]:
         error = _error(one, evidence, prior, config, worse)
         if error is not None:
-            tried.append((float(np.linalg.norm(error.whitened(one.gap))), _look(setting, one, error), one.motion))
-            if _tells(*tried[-1][:2]):
+            tried.append(_planned(setting, readings, one, error))
+            if tried[-1].telling:
                 break
     if not tried:
         return None
-    separation, look, motion = max(tried, key=lambda t: (_tells(*t[:2]), t[0]))
-    says = _words(setting, readings, motion, look if separation >= TELLING else None)
-    return Plan(motion, separation, {m.name: d for d, _, m in tried if m is not motion}, look, says)
+    best = max(tried, key=lambda p: (p.telling, p.separation))
+    return replace(best, others={p.motion.name: p.separation for p in tried if p is not best})
 
 
-def _tells(separation: float, look: Look | None) -> bool:
-    return separation >= TELLING and look is not None
+def _planned(setting: Setting, readings, one: _Moved, error: Likelihood) -> Plan:
+    """A motion by itself, beside no others."""
+    separation, look = float(np.linalg.norm(error.whitened(one.gap))), _look(setting, one, error)
+    says = _words(setting, readings, one.motion, look if separation >= TELLING else None)
+    return Plan(one.motion, separation, {}, look, says)
 
 
 def _moved(evidence: Evidence, motion: Motion, readings, config: DiagnosisConfig) -> _Moved | None:

@@ -191,32 +191,25 @@ def _measured(forward, reference, plan, config):
 
     The first candidate of every amount says about how much of it makes ``config.probe`` mm of motion, also elsewhere and of other shapes.
     """
-    sizes = np.array([c.effect.amounts[j].first for c, j in plan])
+    amounts = [c.effect.amounts[j] for c, j in plan]
+    sizes, low, high = (np.array([getattr(a, name) for a in amounts]) for name in ("first", "low", "high"))
+    kinds = [(c.effect.name, j) for c, j in plan]
+    firsts = {kind: kinds.index(kind) for kind in kinds}
     runs = np.full((len(plan), len(reference)), np.nan)
-    like = {}
-    for k, (candidate, j) in enumerate(plan):
-        like.setdefault((candidate.effect.name, j), []).append(k)
 
     def run(which):
-        if which:
+        if len(which):
             runs[which] = forward.rows([_row(forward, plan[k][0], plan[k][1], sizes[k]) for k in which])
 
-    def resized(which, factor):
-        for k in which:
-            amount = plan[k][0].effect.amounts[plan[k][1]]
-            sizes[k] = np.clip(sizes[k] * factor, amount.low, amount.high)
-
-    firsts = [own[0] for own in like.values()]
-    run(firsts)
-    for own in like.values():
-        resized(own, _factor(runs[own[0]] - reference, config))
-    right = [k for k in firsts if _factor(runs[k] - reference, config) == 1.0]
-    run([k for k in range(len(plan)) if k not in right])
-    factors = {k: _factor(runs[k] - reference, config) for k in range(len(plan)) if k not in firsts}
-    wrong = [k for k, factor in factors.items() if factor != 1.0]
-    for k in wrong:
-        resized([k], factors[k])
-    run(wrong)
+    run(list(firsts.values()))
+    known = {kind: _factor(runs[k] - reference, config) for kind, k in firsts.items()}
+    factors = np.array([known[kind] for kind in kinds])
+    sizes = np.clip(sizes * factors, low, high)
+    first = np.isin(np.arange(len(plan)), list(firsts.values()))
+    run(np.flatnonzero(~first | (factors != 1.0)))
+    factors = np.array([1.0 if first[k] else _factor(r - reference, config) for k, r in enumerate(runs)])
+    sizes = np.clip(sizes * factors, low, high)
+    run(np.flatnonzero(factors != 1.0))
     return (runs - reference) / sizes[:, None]
 
 

@@ -36,6 +36,13 @@ class Given:
     device: str = "cpu"
     label: Mapping | None = field(default=None)  # only for those who are told
 
+    @property
+    def of_continuum(self) -> bool:
+        """Whether ``twinbench diagnose`` asks a continuum of it, and not springs."""
+        from ....diagnosis.suitable import has_continuum
+
+        return bool(self.more) or has_continuum(self.fit)
+
     @cached_property
     def diagnosis(self) -> Diagnosis:
         from ....diagnosis.diagnose import diagnose

@@ -14,9 +14,8 @@ class Continuum(Entrant):
 
     def answer(self, given):
         from ....diagnosis.diagnose import diagnose
-        from ....diagnosis.suitable import has_continuum
 
-        if not given.more and not has_continuum(given.fit):
+        if not given.of_continuum:
             return plain(given.diagnosis.result)
         found = diagnose([given.fit, *given.more], twin="continuum", transfer=[given.transfer], preset=given.preset, device=given.device)
         return plain(found.result)

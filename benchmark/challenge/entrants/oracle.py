@@ -12,7 +12,6 @@ from ....diagnosis.hypotheses import Hypothesis
 from ....diagnosis.inquiry import PRESETS
 from ....diagnosis.refit import evaluate, refit
 from ....diagnosis.screen import screen
-from ....diagnosis.suitable import has_continuum
 from .base import Entrant, answer, mean_of, tasks
 
 __all__ = ["ENTRANT", "Oracle"]
@@ -33,7 +32,7 @@ class Oracle(Entrant):
     def answer(self, given):
         label = given.label
         assert label is not None  # an oracle is told
-        if given.more or has_continuum(given.fit):
+        if given.of_continuum:
             return _of_continuum(given, label)
         inquiry = given.unrefitted
         floor = noise_floor(inquiry)
