@@ -3,9 +3,9 @@
 Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, and sound
 recordings hold errors that no member has. So each statistic, as a logarithm over its members', and for some kinds what a twin leaves of
 the motion, is compared with those of n recordings known to be sound, of the same kind of body and weighed with the same config and the
-same usual errors of recordings. They are taken as draws of a Student t whose place, scale and degrees of freedom are the likeliest (Lange,
-Little & Taylor 1989): a sound recording that lies far out then makes the tail heavier and leaves the rest alone, and p goes on where ranks
-among n end at 1 / (1 + n).
+same usual errors of recordings. They are taken as draws of a Student t whose place, scale and degrees of freedom are the likeliest
+(``tails``): a sound recording that lies far out then makes the tail heavier and leaves the rest alone, and p goes on where ranks among n
+end at 1 / (1 + n). What the most surprising of them costs hangs on how much they go together, which these recordings tell as well.
 
 ``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``.
 """
@@ -24,13 +24,12 @@ import numpy as np
 from ...datasets.temporary import replacing
 from ..config import DiagnosisConfig
 from ..effects import effects
+from .tails import Tail, any_beyond, going_together
 
-__all__ = ["FILE", "Controls", "Tail", "frozen", "main"]
+__all__ = ["FILE", "Controls", "frozen", "main"]
 
 FILE = Path(__file__).parent / "controls.json"
 MARKED = "marked "  # goes before a kind of body of which markers are seen
-DEGREES = (2.0, 3.0, 4.0, 6.0, 10.0, 30.0)  # of freedom: 2 has no variance, 30 is a normal distribution
-STEPS = 100  # of expectation and maximisation: the slowest moves by less than 1e-6 then
 DECIDING = (
     "level",
     "wandering",
@@ -47,45 +46,6 @@ DECIDING = (
     "planned",
     "members",
 )  # fields that change no statistic of a recording
-
-
-@dataclass(frozen=True)
-class Tail:
-    """A Student t of one statistic over sound recordings."""
-
-    place: float
-    scale: float
-    degrees: float
-
-    @classmethod
-    def of(cls, values, degrees: Sequence[float] = DEGREES) -> Tail:
-        """The likeliest of ``values`` (n,), by expectation and maximisation for each of some ``degrees``."""
-        from scipy.stats import t
-
-        values = np.asarray(values, float)
-        found = [_located(values, one) for one in degrees]
-        return max(found, key=lambda one: float(t.logpdf(values, one.degrees, one.place, one.scale).sum()))
-
-    def beyond(self, value: float) -> float:
-        """p that a sound recording's is as large."""
-        from scipy.stats import t
-
-        return float(t.sf(value, self.degrees, self.place, self.scale))
-
-    def at(self, p: float) -> float:
-        """The value that a sound recording's exceeds with probability ``p``."""
-        from scipy.stats import t
-
-        return float(t.isf(p, self.degrees, self.place, self.scale))
-
-
-def _located(values, degrees: float) -> Tail:
-    place, square = float(np.median(values)), float(np.var(values)) + 1e-12
-    for _ in range(STEPS):
-        weights = (degrees + 1) / (degrees + (values - place) ** 2 / square)
-        place = float(weights @ values / weights.sum())
-        square = float(weights @ (values - place) ** 2) / len(values) + 1e-12
-    return Tail(place, float(np.sqrt(square)), degrees)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +87,14 @@ class Controls:
     def tails(self) -> tuple[Tail, ...]:
         return tuple(Tail.of(values) for values in self.standardised.T)
 
+    @cached_property
+    def together(self) -> np.ndarray:
+        """(2 or 3, 2 or 3) correlation of the statistics, as they are rare: a block's misfit and largest score go together."""
+        return going_together(self.standardised, self.tails)
+
     def p(self, standardised) -> float:
         """Of a recording's statistics: of the most surprising one, that any is."""
-        least = min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=False))
-        return 1 - (1 - least) ** len(self.tails)
+        return any_beyond(min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=False)), self.together)
 
     def least(self, misfit: float, share: float) -> float:
         """The smaller p of a misfit, as a logarithm over its members', and of a ``share`` of the motion, where that is known."""
@@ -138,7 +102,9 @@ class Controls:
 
     def alarming(self, level: float) -> float:
         """The largest score, as a logarithm over members', above which p is below ``level`` whatever the misfit."""
-        return self.tails[1].at(1 - (1 - level) ** (1 / len(self.tails)))
+        from scipy.optimize import brentq
+
+        return self.tails[1].at(float(brentq(lambda p: any_beyond(p, self.together) - level, level / (2 * len(self.tails)), level)))
 
 
 def _group(kind: str, recordings: int) -> str:

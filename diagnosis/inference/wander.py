@@ -21,7 +21,7 @@ from ...datasets.scenario import Observed, Scenario
 from ...datasets.temporary import replacing
 from ...methods.continuum.bodies import bodies_of
 from ..sightings import where_unseen
-from .controls import Tail
+from .tails import Tail
 
 __all__ = ["FILE", "Wander", "main", "strayed", "wander"]
 
