@@ -28,13 +28,13 @@ LABELS = "labels.json"
 
 def answer(case: Path, out: Path, preset: str, device: str) -> dict:
     """Diagnose ``case``/fit with ``case``/transfer, write into ``out``/NAME, and return the result; an error is an answer that says so."""
-    from ..diagnosis.diagnose import diagnose
+    from ..diagnosis.springs import ask_springs
     from .opening import open_scenario
 
     begun = time.time()
     try:
         fit, transfer = (open_scenario(str(case / part)) for part in ("fit", "transfer"))
-        found = diagnose(fit, twin="springs", transfer=[transfer], preset=preset, device=device)
+        found = ask_springs(fit, transfer=[transfer], preset=preset, device=device)
         found.write(out / case.name)
     except Exception as error:
         traceback.print_exc()

@@ -100,12 +100,12 @@ def run(study: str, data: Path, out: Path, *, preset: str = "quick", device: str
     """Diagnose every case of ``study``; ``out``/STUDY.csv, and a folder with diagnosis.json and report.html for each."""
     import pandas as pd
 
-    from ..diagnosis.diagnose import diagnose
+    from ..diagnosis.springs import ask_springs
 
     rows = []
     for told in CASES[study](data):
         begun = time.time()
-        found = diagnose(told.case, twin="springs", fitted_on=told.fitted_on, preset=preset, device=device)
+        found = ask_springs(told.case, fitted_on=told.fitted_on, preset=preset, device=device)
         folder = out / study / "".join(c if c.isalnum() else "_" for c in told.name)
         found.write(folder)
         rows.append(_row(told, json.loads((folder / "diagnosis.json").read_text()), found, time.time() - begun))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["DiagnosisConfig"]
+__all__ = ["MEMBERS", "DiagnosisConfig"]
 
 
 @dataclass(frozen=True)
@@ -104,3 +104,6 @@ class DiagnosisConfig:
     def cells_of(self, body) -> float:
         """``cells`` of a body, of its kind's where this says none."""
         return body.coarse if self.cells is None else self.cells
+
+
+MEMBERS = {"quick": DiagnosisConfig(members=12), "full": DiagnosisConfig()}  # by preset: 12 tell a variance to 21 %, 16 to 18 %

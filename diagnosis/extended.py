@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from ..methods.phystwin.losses import FitLoss
 from ..methods.phystwin.twin import PhysTwinTwin
 from ..methods.phystwin.zero_order import open_loop_costs
 from ..physics.terms.base import Term
-from .diagnose import Diagnosis, diagnose
 from .inquiry import UNHELD
+from .springs import Diagnosis, ask_springs
 
 __all__ = ["DiagnosedTwin", "extend", "gain", "named"]
 
@@ -63,15 +63,13 @@ def extend(
 
     if min(o.observed_frames for o in used) < FEWEST:
         return twin(f"nothing added: fewer than {FEWEST} train frames are too few for a diagnosis")
-    found = diagnose(
+    found = ask_springs(
         Scenario.of(used[0], UNHELD),
-        twin="springs",
         transfer=[Scenario.of(o, UNHELD) for o in used[1:]],
         preset=budget.preset,
         device=device,
         progress=lambda said: say(said.split(", ")[0], 1 / 3),
     )
-    found = cast(Diagnosis, found)  # of a twin of springs
     said, term = _said(found), named(found, start.body)
     if term is None:
         return twin(f"nothing added: {said}{', which no term of the fine twin stands for' if found.result['effect'] else ''}")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, asdict, dataclass, field, fields
 from typing import Any
 
-from ...diagnosis.diagnose import NAMES
+from ...diagnosis.springs import NAMES
 from ...diagnosis.verdict import NONE, OTHER
 from ...spelling import nearest
 

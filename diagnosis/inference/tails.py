@@ -63,7 +63,8 @@ def going_together(values, tails: Sequence[Tail]) -> np.ndarray:
 
     rare = np.array([[tail.beyond(v) for tail, v in zip(tails, row, strict=True)] for row in np.asarray(values, float)])
     deviates = norm.isf(np.clip(rare, norm.sf(FARTHEST), 1 - 1e-16))
-    found = np.corrcoef(deviates, rowvar=False).reshape(len(tails), len(tails))
+    with np.errstate(divide="ignore", invalid="ignore"):  # one that never varies goes with none
+        found = np.corrcoef(deviates, rowvar=False).reshape(len(tails), len(tails))
     return np.where(np.eye(len(tails)) > 0, 1.0, np.clip(np.nan_to_num(found), -CLOSEST, CLOSEST))
 
 

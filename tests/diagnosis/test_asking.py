@@ -116,7 +116,7 @@ def test_a_continuum_is_asked_of_what_is_tracked_all_over(monkeypatch):
     assert has_continuum(above) and not has_continuum(below)
     assert has_continuum(one) and not any(map(has_continuum, (markers, few, cloud)))
     monkeypatch.setattr("twinbench.diagnosis.diagnose.ask", lambda recordings, **options: ("continuum", len(recordings)))
-    monkeypatch.setattr("twinbench.diagnosis.diagnose.inquire", lambda *given, **options: 1 / 0)
+    monkeypatch.setattr("twinbench.diagnosis.springs.inquire", lambda *given, **options: 1 / 0)
     assert diagnose(one) == ("continuum", 1)
     assert diagnose([markers, one]) == diagnose([one, markers]) == ("continuum", 2)  # springs are asked about one recording
     for other in (markers, few, cloud):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from twinbench.datasets.scenario import Observed
 from twinbench.diagnosis.baseline import FINER, LEVELS, STEADY, baseline_model, first_fit, steady
-from twinbench.diagnosis.diagnose import FEWEST, affordable
 from twinbench.diagnosis.fit import Task
 from twinbench.diagnosis.hypotheses import hypotheses_for
 from twinbench.diagnosis.inquiry import PRESETS
 from twinbench.diagnosis.model import JUDGED, MOST, Simulator
 from twinbench.diagnosis.replica import build_replica
+from twinbench.diagnosis.springs import FEWEST, affordable
 from twinbench.physics.terms.compression_softening import CompressionSoftening
 
 

@@ -14,7 +14,7 @@ from twinbench.benchmark.challenge.entrants.sindy import derivatives
 from twinbench.benchmark.challenge.entrants.virtual_force import group_lasso
 from twinbench.benchmark.challenge.schema import one_hot
 from twinbench.datasets.phystwin import write_case
-from twinbench.diagnosis.diagnose import NAMES
+from twinbench.diagnosis.springs import NAMES
 from twinbench.diagnosis.verdict import NONE, OTHER
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 

@@ -11,7 +11,7 @@ import twinbench
 from twinbench.benchmark.cli import main
 from twinbench.datasets.phystwin import write_case
 from twinbench.diagnosis import inquiry
-from twinbench.diagnosis.diagnose import NAMES
+from twinbench.diagnosis.springs import NAMES
 from twinbench.diagnosis.verdict import ASTRAY, KINDS, MEASUREMENT, NONE, OTHER, Calibration, context
 from twinbench.physics.terms.gravity_tilt import GravityTilt
 

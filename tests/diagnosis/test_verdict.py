@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twinbench.diagnosis.diagnose import NAMES
 from twinbench.diagnosis.hypotheses import catalogue
+from twinbench.diagnosis.springs import NAMES
 from twinbench.diagnosis.verdict import (
     AT_EASE,
     CONTEXT,

@@ -119,7 +119,7 @@ def test_the_term_is_a_hypothesis_of_the_diagnosis(python):
     script = "from twinbench.diagnosis.hypotheses import catalogue as c; print([t.effect.name for t in c() if t.name == 'cubic_drag'])"
     assert python("-c", script).strip() == "['plate_drag']"
     script = (
-        "from twinbench.diagnosis.diagnose import NAMES; from twinbench.diagnosis.page.words import EFFECTS; assert {*NAMES} <= {*EFFECTS}"
+        "from twinbench.diagnosis.springs import NAMES; from twinbench.diagnosis.page.words import EFFECTS; assert {*NAMES} <= {*EFFECTS}"
     )
     python("-c", script)
 

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -15,9 +15,9 @@ from ....diagnosis.verdict import MEASUREMENT, NONE, OTHER
 from ..schema import one_hot
 
 if TYPE_CHECKING:
-    from ....diagnosis.diagnose import Diagnosis
     from ....diagnosis.fit import Task
     from ....diagnosis.inquiry import Inquiry
+    from ....diagnosis.springs import Diagnosis
 
 __all__ = ["Entrant", "Given", "answer", "mean_of", "one_hot", "parts_of", "tasks"]
 
@@ -45,10 +45,9 @@ class Given:
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
-        from ....diagnosis.diagnose import diagnose
+        from ....diagnosis.springs import ask_springs
 
-        found = diagnose(self.fit, twin="springs", transfer=[self.transfer], preset=self.preset, device=self.device)
-        return cast("Diagnosis", found)  # of a twin of springs
+        return ask_springs(self.fit, transfer=[self.transfer], preset=self.preset, device=self.device)
 
     @property
     def inquiry(self) -> Inquiry:
@@ -58,8 +57,8 @@ class Given:
     @cached_property
     def unrefitted(self) -> Inquiry:
         """The same without the refits, most of the work: the fitted twin, and the hypotheses with their scores."""
-        from ....diagnosis.diagnose import affordable
         from ....diagnosis.inquiry import PRESETS, inquire
+        from ....diagnosis.springs import affordable
 
         if "diagnosis" in vars(self):
             return self.inquiry

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from ....diagnosis.asking import informed
-from ....diagnosis.diagnose import MEMBERS, noise_floor
+from ....diagnosis.config import MEMBERS
 from ....diagnosis.hypotheses import Hypothesis
 from ....diagnosis.inquiry import PRESETS
 from ....diagnosis.refit import evaluate, refit
 from ....diagnosis.screen import screen
+from ....diagnosis.springs import noise_floor
 from .base import Entrant, answer, mean_of, tasks
 
 __all__ = ["ENTRANT", "Oracle"]
