@@ -77,7 +77,8 @@ def refitted(
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
     a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
     arrived where fresh slopes lead nowhere. Where they promise too little to come near the ``best`` evidence of others it is given up, and
-    what is reported is a lower bound. A place has a prior of ``config.astray`` around the one that was tried, the logarithm of a shape one
+    what is reported is a lower bound. Shapes stay as they were tried until all else has arrived or has no hope: what they lead to is better
+    than without. A place has a prior of ``config.astray`` around the one that was tried, the logarithm of a shape one
     of ``config.reshaped``, amounts one by the motion that they make (``amounts``). What would take more than ``config.dearest`` times the
     steps is not run.
     """
@@ -114,7 +115,12 @@ def refitted(
             return _Place(numbers, prediction, np.inf)
         return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
 
+    def hopeless(at, jacobian) -> bool:
+        return HOPE * _step(at, jacobian, data, likelihood, rows, low, high)[1] - at.cost < best - config.clearly
+
     at, jacobian, fresh = place(np.zeros(len(low)), reference), slopes, False
+    held = np.arange(len(low)) >= len(low) - forms
+    low[held], high[held] = 0.0, 0.0
     begun = forward.cost.runs
     for _ in range(config.steps):
         if forward.cost.runs - begun >= config.runs:
@@ -128,13 +134,17 @@ def refitted(
             if found.cost < at.cost:
                 break
         gained, at = at.cost - found.cost, found if found.cost < at.cost else at
-        if fresh and not gained > ARRIVED:
-            break
+        arrived = fresh and not gained > ARRIVED
         fresh = not gained > max(ARRIVED, TRUSTED * promised)
-        if fresh:
-            jacobian = _slopes(run, at, jacobian, low, high)
-            if HOPE * _step(at, jacobian, data, likelihood, rows, low, high)[1] - at.cost < best - config.clearly:
-                break
+        if fresh and not arrived:
+            jacobian = _slopes(run, at, jacobian, low, high, ~held)
+        done = arrived or (fresh and hopeless(at, jacobian))
+        if done and held.any():
+            low[held], high[held] = -FARTHEST, FARTHEST
+            jacobian, held = _slopes(run, at, jacobian, low, high, held), np.zeros(len(low), bool)
+            done = hopeless(at, jacobian)
+        if done:
+            break
     curvature = _curvature(at, jacobian, data, likelihood, rows)
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
@@ -144,13 +154,13 @@ def refitted(
     return Refit(there(at.numbers), at.numbers[:count], scale.amounts(own), sd * scale.slope(own), at.prediction, float(evidence))
 
 
-def _slopes(run, at: _Place, jacobian, low, high):
-    """(B, n) by differences around a place, of a deviation each over 20; what it was where a run diverged."""
+def _slopes(run, at: _Place, jacobian, low, high, measured):
+    """(B, n) by differences around a place, of a deviation each over 20; what it was where a run diverged, or is not ``measured`` (n,)."""
     steps = np.where(at.numbers + DIFFERENCE <= high, DIFFERENCE, -DIFFERENCE)
     steps = np.clip(at.numbers + steps, low, high) - at.numbers
-    runs = run(at.numbers + np.diag(steps))
+    found = jacobian.copy()
     with np.errstate(invalid="ignore", divide="ignore"):
-        found = ((runs - at.prediction) / steps[:, None]).T
+        found[:, measured] = ((run(at.numbers + np.diag(steps)[measured]) - at.prediction) / steps[measured, None]).T
     return np.where(np.isfinite(found).all(0), found, jacobian)
 
 
