@@ -195,8 +195,7 @@ def weighed(
     while asked:
         for name in asked:
             for k in likely[name]:
-                leading = max((one.log_evidence for _, one in tried.values()), default=-np.inf)
-                own = refitted(*common, e.catalogue[k], config, leading)
+                own = refitted(*common, e.catalogue[k], config)
                 if name not in tried or own.log_evidence > tried[name][1].log_evidence:
                     tried[name] = k, own
         gains = {k: one.log_evidence - sound.log_evidence for k, one in tried.values()}

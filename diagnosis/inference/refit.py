@@ -24,7 +24,6 @@ TRUSTED = 0.2  # of what slopes promised: a step that gains less says that they 
 FARTHEST = 3.0  # prior standard deviations that a place or a shape may be astray
 DIFFERENCE = 0.05  # prior standard deviations
 ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
-HOPE = 5.0  # times what fresh slopes promise: a candidate that would be refuted with as much is not pursued
 
 
 @dataclass(frozen=True)
@@ -69,16 +68,14 @@ def refitted(
     rows,
     signature: Signature | None,
     config: DiagnosisConfig,
-    best: float = -np.inf,
 ) -> Refit:
     """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
 
     likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
     a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
-    arrived where fresh slopes lead nowhere. Where they promise too little to come near the ``best`` evidence of others it is given up, and
-    what is reported is a lower bound. Shapes stay as they were tried until all else has arrived or has no hope: what they lead to is better
-    than without. A place has a prior of ``config.astray`` around the one that was tried, the logarithm of a shape one
+    arrived where fresh slopes lead nowhere. Shapes stay as they were tried until all else has arrived: what they lead to is better than
+    without. A place has a prior of ``config.astray`` around the one that was tried, the logarithm of a shape one
     of ``config.reshaped``, amounts one by the motion that they make (``amounts``). What would take more than ``config.dearest`` times the
     steps is not run.
     """
@@ -115,9 +112,6 @@ def refitted(
             return _Place(numbers, prediction, np.inf)
         return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
 
-    def hopeless(at, jacobian) -> bool:
-        return HOPE * _step(at, jacobian, data, likelihood, rows, low, high)[1] - at.cost < best - config.clearly
-
     at, jacobian, fresh = place(np.zeros(len(low)), reference), slopes, False
     held = np.arange(len(low)) >= len(low) - forms
     low[held], high[held] = 0.0, 0.0
@@ -138,13 +132,11 @@ def refitted(
         fresh = not gained > max(ARRIVED, TRUSTED * promised)
         if fresh and not arrived:
             jacobian = _slopes(run, at, jacobian, low, high, ~held)
-        done = arrived or (fresh and hopeless(at, jacobian))
-        if done and held.any():
+        if arrived and not held.any():
+            break
+        if arrived:
             low[held], high[held] = -FARTHEST, FARTHEST
             jacobian, held = _slopes(run, at, jacobian, low, high, held), np.zeros(len(low), bool)
-            done = hopeless(at, jacobian)
-        if done:
-            break
     curvature = _curvature(at, jacobian, data, likelihood, rows)
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])

@@ -313,26 +313,6 @@ def test_a_refit_goes_no_farther_than_steps_are_affordable():
     )  # amounts are scaled by ten runs, and a step that has begun is ended: three trials, four slopes
 
 
-def test_a_refit_that_cannot_come_near_the_best_is_given_up():
-    world = World(9)
-    right, wrong = world.catalogue[:2]
-    scatter, _, _ = world.evidence(world.reference)
-    fitting, config = scatter.likelihood(PRIOR, parameters=False), DiagnosisConfig()
-    data = Bent(world, right.columns[:, 0]).rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=15.0)])[0]
-
-    def found(one, best):
-        twins = Bent(world, one.columns[:, 0])
-        refit = refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, config, best)
-        return refit, twins.cost.runs
-
-    (first, runs), (other, more) = found(right, -np.inf), found(wrong, -np.inf)
-    assert other.log_evidence < first.log_evidence - config.clearly
-    given_up, few = found(wrong, first.log_evidence)
-    assert few < more and given_up.log_evidence < first.log_evidence - config.clearly
-    again, as_many = found(right, first.log_evidence)  # what is as good as the best goes on to its end
-    assert as_many == runs and again.log_evidence == first.log_evidence
-
-
 class Placed(Bent):
     """Twins whose one effect acts around a place: its share of the column falls with the square of the distance from it over 0.1 m."""
 
