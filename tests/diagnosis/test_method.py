@@ -58,7 +58,7 @@ def unnamed(verdict="adequate"):
 def answering(monkeypatch, found):
     """Diagnoses that say ``found``; what they were asked."""
     asked = []
-    monkeypatch.setattr(extended, "diagnose", lambda scenario, **options: asked.append((scenario, options)) or found)
+    monkeypatch.setattr(extended, "ask_springs", lambda scenario, **options: asked.append((scenario, options)) or found)
     return asked
 
 
