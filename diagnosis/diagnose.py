@@ -7,7 +7,7 @@ from typing import Any
 
 from ..datasets.scenario import Scenario
 from .asking import ask
-from .config import MEMBERS
+from .config import MEMBERS, of_preset
 from .outcome import Outcome
 from .springs import Diagnosis, ask_springs
 from .suitable import has_continuum
@@ -45,14 +45,13 @@ def diagnose(
     recordings = [scenario] if isinstance(scenario, Scenario) else list(scenario)
     if twin not in TWINS:
         raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
-    if preset not in MEMBERS:
-        raise ValueError(f"unknown preset {preset!r}; known: {', '.join(MEMBERS)}")
+    config = of_preset(MEMBERS, preset)
     if twin == "auto":
         several = len(recordings) != 1 or bool(against)
         twin = "continuum" if several or has_continuum(recordings[0], fitted_on) else "springs"
     options: dict[str, Any] = dict(transfer=transfer, fitted_on=fitted_on, device=device, progress=progress)
     if twin == "continuum":
-        return ask(recordings, against=against, config=MEMBERS[preset], **options)
+        return ask(recordings, against=against, config=config, **options)
     if against:
         raise ValueError("recordings are compared with sound ones by twin 'continuum' alone")
     if len(recordings) != 1:

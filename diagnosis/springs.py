@@ -12,6 +12,7 @@ import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..datasets.temporary import replacing
+from .config import of_preset
 from .fit import gaps, mean_error
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .keeping import write_tracks, write_twins
@@ -73,14 +74,15 @@ def ask_springs(
     weights: Calibration | None = None,
     progress: Callable[[str], None] = lambda said: None,
 ) -> Diagnosis:
-    """Which physics a net of springs lacks of the object in ``scenario``, see ``diagnose``."""
+    """Which physics a net of springs lacks of the object in ``scenario``, see ``diagnose``. Raises ValueError for an unknown preset or a
+    recording that is too short."""
     begun = time.time()
     inquiry = inquire(
         scenario,
         transfer,
         fitted_on,
         train_end=scenario.split.train_end,
-        preset=affordable(PRESETS[preset], scenario),
+        preset=affordable(of_preset(PRESETS, preset), scenario),
         device=device,
         progress=progress,
     )

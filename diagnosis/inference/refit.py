@@ -128,15 +128,15 @@ def refitted(
             if found.cost < at.cost:
                 break
         gained, at = at.cost - found.cost, found if found.cost < at.cost else at
-        arrived = fresh and not gained > ARRIVED
-        fresh = not gained > max(ARRIVED, TRUSTED * promised)
-        if fresh and not arrived:
-            jacobian = _slopes(run, at, jacobian, low, high, ~held)
-        if arrived and not held.any():
-            break
-        if arrived:
+        measured = ~held
+        if fresh and not gained > ARRIVED:
+            if not held.any():
+                break
             low[held], high[held] = -FARTHEST, FARTHEST
-            jacobian, held = _slopes(run, at, jacobian, low, high, held), np.zeros(len(low), bool)
+            measured, held = held, np.zeros_like(held)
+        fresh = not gained > max(ARRIVED, TRUSTED * promised)
+        if fresh:
+            jacobian = _slopes(run, at, jacobian, low, high, measured)
     curvature = _curvature(at, jacobian, data, likelihood, rows)
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
