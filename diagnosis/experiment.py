@@ -65,8 +65,8 @@ def _nothing(evidence: Evidence) -> Reading:
 
 def proposed(found: Plan | None, verdict: str, names: Sequence[str]) -> str | None:
     """In words: what ``planned`` found, and where it found nothing that tells, what shows each of ``names`` in general."""
-    known = {e.name: e for e in effects()}
-    shown = "; ".join(f"{effect_name(n)}: {known[n].motion}" for n in names[:2] if known[n].motion)
+    motions = {e.name: e.motion for e in effects()}  # tracks that wander are no effect, and show in any motion
+    shown = "; ".join(f"{effect_name(n)}: {motions[n]}" for n in names[:2] if motions.get(n))
     by_word = f"What would show it best: {shown}." if verdict == "ambiguous" and shown else None
     if found is None:
         return by_word

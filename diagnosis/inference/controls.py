@@ -98,7 +98,7 @@ class Controls:
 
     def least(self, misfit: float, share: float) -> float:
         """The smaller p of a misfit, as a logarithm over its members', and of a ``share`` of the motion, where that is known."""
-        return min(self.tails[0].beyond(misfit), *(tail.beyond(share) for tail in self.tails[2:]), 1.0)
+        return float(min(self.tails[0].beyond(misfit), *(tail.beyond(share) for tail in self.tails[2:]), 1.0))
 
     def alarming(self, level: float) -> float:
         """The largest score, as a logarithm over members', above which p is below ``level`` whatever the misfit."""

@@ -48,6 +48,7 @@ class Forward:
     acting      names of the values of effects, which sound recordings are not given
     seen        faults of the measurement, each (scene, values) -> the scene as it was
     contrast    how far recordings differ is asked, not what they are; or None
+    spread      (n,) of the unknowns' own prior standard deviations, those of a single recording around where the fit ended
     """
 
     unknowns: tuple[Unknown, ...]
@@ -61,6 +62,7 @@ class Forward:
     acting: frozenset[str] = frozenset()
     seen: tuple[Callable[[Scene, Mapping[str, float]], Scene], ...] = ()
     contrast: Contrast | None = None
+    spread: np.ndarray | float = 1.0
     cost: Cost = field(default_factory=Cost)
 
     @classmethod
@@ -147,7 +149,7 @@ class Forward:
     @property
     def sds(self) -> np.ndarray:
         """(n,) prior standard deviations of the unknowns, in their scaled space."""
-        return np.array([u.sd for u in self.unknowns])
+        return np.array([u.sd for u in self.unknowns]) * self.spread
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,8 @@
 
 All rods lack what a real cable has and a rod has not, so that members of other material say little of how far either strays from it.
 Recordings of the same markers in which nothing is missing do: the twin is fitted to them, a refit of it is taken from what it misses in
-each as it is from the one that is asked, and what is left, marker by marker and bin by bin, are draws of its error.
+each as it is from the one that is asked, and what is left, marker by marker and bin by bin, are draws of its error. The numbers are the
+object's: a recording may want them elsewhere than the fit to all has them, but by no more than sound ones do.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from .scan import signatures
 
 __all__ = ["FEWEST", "compared", "there"]
 
+LEAST = 0.01  # of a prior standard deviation: what no recording tells stays a number
 FEWEST = 8  # sound recordings: a variance of 8 is known to 27 %
 
 
@@ -77,10 +79,16 @@ def compared(
     noise, _ = forward.noise(paths)
     sd = np.where(forward.layout.fitted, np.sqrt(np.diag(noise)), np.inf)
 
-    def run(shifts):
-        return np.concatenate([one.at(shift) for one, shift in zip(each, shifts, strict=True)])
+    def absorbed(each, slopes):
+        def run(shifts):
+            return np.concatenate([one.at(shift) for one, shift in zip(each, shifts, strict=True)])
 
-    left, _ = absorb([one.data for one in each], references, slopes, sd, run, forward.bounds, rounds=config.rounds)
+        return absorb([one.data for one in each], references, slopes, sd, run, each[-1].bounds, rounds=config.rounds)
+
+    spread = _spread(absorbed(each, slopes)[1][:-1])
+    each, slopes = [replace(one, spread=spread) for one in each], slopes * spread
+    forward = each[-1]
+    left, _ = absorbed(each, slopes)
     kept = np.isfinite(left[:-1]).all(1)
     if kept.sum() < FEWEST:
         raise ValueError(f"the twin must not diverge in {FEWEST} sound recordings, got {int(kept.sum())} (scenario {case.name})")
@@ -93,3 +101,8 @@ def compared(
     return Evidence(
         forward, reference, slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), (), np.zeros((0, slopes.shape[-1]))
     )
+
+
+def _spread(shifts: np.ndarray) -> np.ndarray:
+    """(n,) of the prior standard deviations, by how far sound recordings (K, n) want the unknowns elsewhere than the fit to all of them."""
+    return np.clip(np.sqrt(np.mean(shifts**2, 0) * (1 + 1 / len(shifts))), LEAST, 1.0)

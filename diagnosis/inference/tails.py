@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -29,15 +30,17 @@ class Tail:
         """The likeliest of ``values`` (n,), by expectation and maximisation for each of some ``degrees`` (Lange, Little & Taylor 1989)."""
         from scipy.stats import t
 
-        values = np.asarray(values, float)
-        found = [_located(values, one) for one in degrees]
-        return max(found, key=lambda one: float(t.logpdf(values, one.degrees, one.place, one.scale).sum()))
+        values, degrees = np.asarray(values, float), np.asarray(degrees, float)
+        places, scales = _located(values, degrees)
+        likely = t.logpdf(values, degrees[:, None], places[:, None], scales[:, None]).sum(1)
+        best = int(np.argmax(likely))
+        return cls(float(places[best]), float(scales[best]), float(degrees[best]))
 
-    def beyond(self, value: float) -> float:
-        """p that a sound recording's is as large."""
-        from scipy.stats import t
+    def beyond(self, values):
+        """p that a sound recording's is as large, of each of ``values``."""
+        from scipy.special import stdtr
 
-        return float(t.sf(value, self.degrees, self.place, self.scale))
+        return stdtr(self.degrees, (self.place - np.asarray(values, float)) / self.scale)
 
     def at(self, p: float) -> float:
         """The value that a sound recording's exceeds with probability ``p``."""
@@ -46,22 +49,24 @@ class Tail:
         return float(t.isf(p, self.degrees, self.place, self.scale))
 
 
-def _located(values, degrees: float) -> Tail:
-    place, square = float(np.median(values)), float(np.var(values)) + 1e-12
+def _located(values: np.ndarray, degrees: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(places (d,), scales (d,)) of ``values`` (n,) for each of ``degrees`` (d,)."""
+    place, square = np.full(len(degrees), np.median(values)), np.full(len(degrees), np.var(values) + 1e-12)
     for _ in range(STEPS):
-        weights = (degrees + 1) / (degrees + (values - place) ** 2 / square)
-        last, place = (place, square), float(weights @ values / weights.sum())
-        square = float(weights @ (values - place) ** 2) / len(values) + 1e-12
-        if abs(place - last[0]) < SETTLED * np.sqrt(square) and abs(square - last[1]) < SETTLED * square:
+        off = (values - place[:, None]) ** 2
+        weights = (degrees[:, None] + 1) / (degrees[:, None] + off / square[:, None])
+        last, place = (place, square), weights @ values / weights.sum(1)
+        square = np.sum(weights * (values - place[:, None]) ** 2, 1) / len(values) + 1e-12
+        if np.all(abs(place - last[0]) < SETTLED * np.sqrt(square)) and np.all(abs(square - last[1]) < SETTLED * square):
             break
-    return Tail(place, float(np.sqrt(square)), degrees)
+    return place, np.sqrt(square)
 
 
 def going_together(values, tails: Sequence[Tail]) -> np.ndarray:
     """(k, k) correlation of k statistics ``values`` (n, k), each as the normal deviate that is as rare by its own of ``tails``."""
     from scipy.stats import norm
 
-    rare = np.array([[tail.beyond(v) for tail, v in zip(tails, row, strict=True)] for row in np.asarray(values, float)])
+    rare = np.stack([tail.beyond(own) for tail, own in zip(tails, np.asarray(values, float).T, strict=True)], 1)
     deviates = norm.isf(np.clip(rare, norm.sf(FARTHEST), 1 - 1e-16))
     with np.errstate(divide="ignore", invalid="ignore"):  # one that never varies goes with none
         found = np.corrcoef(deviates, rowvar=False).reshape(len(tails), len(tails))
@@ -77,6 +82,11 @@ def any_beyond(p: float, correlation) -> float:
     return float(_beyond(np.full((1, len(correlation)), norm.isf(p)), correlation)[0])
 
 
+@cache
+def _nodes() -> tuple[np.ndarray, np.ndarray]:
+    return np.polynomial.legendre.leggauss(NODES)
+
+
 def _beyond(limits, correlation) -> np.ndarray:
     """(m,) of deviates (k,) of which none must lie beyond ``limits`` (m, k): the first does, or it is integrated over where it does not.
     All terms are positive, so that a p of 1e-12 is as exact as one of 0.1."""
@@ -88,7 +98,7 @@ def _beyond(limits, correlation) -> np.ndarray:
         return found
     along, left = correlation[0, 1:], correlation[1:, 1:] - np.outer(correlation[0, 1:], correlation[0, 1:])
     scale = np.sqrt(np.maximum(np.diag(left), 1 - CLOSEST**2))
-    at, weights = np.polynomial.legendre.leggauss(NODES)
+    at, weights = _nodes()
     half = np.maximum(np.minimum(first, FARTHEST) + FARTHEST, 0.0)[:, None] / 2
     values = half * (at + 1) - FARTHEST
     beyond = _beyond(((others[:, None] - values[..., None] * along) / scale).reshape(-1, len(along)), left / np.outer(scale, scale))

@@ -52,7 +52,7 @@ class Wander:
 def wander(recording: Scenario, kind: str) -> Wander:
     """Of the fitted frames of a recording of a ``kind`` of body whose tracks correspond."""
     far, known = strayed(recording.observed()), _known().get(kind, [])
-    return Wander(far, Tail.of(known, HEAVY).beyond(_statistic(far)) if len(known) >= FEWEST and np.isfinite(far).any() else 1.0)
+    return Wander(far, float(Tail.of(known, HEAVY).beyond(_statistic(far))) if len(known) >= FEWEST and np.isfinite(far).any() else 1.0)
 
 
 def strayed(recording: Observed) -> np.ndarray:

@@ -13,6 +13,8 @@ from twinbench.diagnosis.asking import ask, informed, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
 from twinbench.diagnosis.diagnosed import extend
+from twinbench.diagnosis.inference import phases
+from twinbench.diagnosis.inference.wander import Wander
 from twinbench.diagnosis.outcome import _why_open, chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
 from twinbench.diagnosis.suitable import has_continuum, suitable
@@ -204,6 +206,17 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
     sound = ask([block("sound", seed=5), block("other", seed=6)], config=CONFIG)
     assert sound.result["test"]["p"] > 0.03 and sound.result["effect"] is None
     assert {part["record"] for part in sound.result["budget"]} == {0, 1}
+
+
+@pytest.mark.slow
+def test_tracks_that_wander_are_said_in_the_result(monkeypatch, tmp_path):
+    # no effect of the catalogue: nothing that is looked up for effects may be missed for it
+    monkeypatch.setattr(phases, "wander", lambda recording, kind: Wander(np.r_[np.full(39, 1e-3), 0.03], 1e-12))
+    found = ask([block()], config=replace(CONFIG, members=4, rounds=1))
+    assert (found.result["verdict"], found.result["effect"]) == ("measurement", "track_drift")
+    assert found.result["experiment"] is None
+    found.write(tmp_path)
+    assert "drift" in (tmp_path / "report.html").read_text()
 
 
 @pytest.mark.slow

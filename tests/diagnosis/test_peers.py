@@ -11,8 +11,9 @@ from twinbench.datasets.scenario import Scenario, Split
 from twinbench.diagnosis.asking import ask, asked
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.holding import listed, places
+from twinbench.diagnosis.inference import phases
 from twinbench.diagnosis.inference.blocks import Blocks, is_marked
-from twinbench.diagnosis.inference.peers import FEWEST, compared, there
+from twinbench.diagnosis.inference.peers import FEWEST, LEAST, _spread, compared, there
 from twinbench.methods.continuum.rods import Rod
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
@@ -78,6 +79,19 @@ def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
     # its natural shape strays as theirs do, which no parameter of the twin takes up
     p = [asked([recording(seed)], CONFIG, fitted_on=sound, twin=twin).answer.test.p for seed in (20, 21, 22)]
     assert min(p) > 0.01 and np.median(p) > 0.05
+
+
+def test_numbers_are_the_objects_own(twin, sound):
+    # eight times as stiff is one of the prior's standard deviations, which a refit of this recording alone takes up (p 0.13 so, 0.014 now)
+    stiff = recording(20, bending_stiffness=8 * TRUE["bending_stiffness"])
+    found = compared(twin, stiff, sound, CONFIG)
+    assert found.forward.spread.max() < 0.5 and phases.tested(found, CONFIG).test.p < CONFIG.level
+
+
+def test_how_far_recordings_want_numbers_elsewhere():
+    # root mean square of four, and of one more recording beyond them: sqrt(1 + 1 / 4)
+    shifts = np.array([[0.1, 0.0, 9.0], [-0.1, 0.0, -9.0], [0.3, 0.0, 9.0], [-0.3, 0.0, 9.0]])
+    np.testing.assert_allclose(_spread(shifts), [np.sqrt(0.05 * 1.25), LEAST, 1.0])
 
 
 def test_what_sound_ones_have_not_is_found_and_named(twin, sound):

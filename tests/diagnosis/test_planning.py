@@ -137,3 +137,5 @@ def test_nothing_is_planned_where_nothing_is_open(evidence):
     assert planned(evidence, answer(), "unknown", (), CONFIG) is None  # nothing was refitted
     assert proposed(None, "ambiguous", ("wind", "quadratic_drag")).startswith("What would show it best: wind")
     assert proposed(None, "adequate", ()) is None
+    assert proposed(None, "measurement", ("track_drift",)) is None  # no effect of the catalogue
+    assert proposed(None, "ambiguous", ("wind", "track_drift")) == proposed(None, "ambiguous", ("wind",))
