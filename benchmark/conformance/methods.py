@@ -22,7 +22,7 @@ __all__ = ["CHECKS", "Subject"]
 
 # of a preset's work: enough to run every stage once
 LEAST = dict(iterations=1, population=3, epochs=1, recordings=2, anchors=24, opacity_steps=2)
-LEAST |= dict(starts=1, refinement=1, members=4, pitch=1.5)
+LEAST |= dict(starts=1, refinement=1, members=4, pitch=3.0)
 SINGLE = 1e-7  # m: float32 at 0.1 m
 
 

@@ -30,11 +30,11 @@ class Tail:
         """The likeliest of ``values`` (n,), by expectation and maximisation for each of some ``degrees`` (Lange, Little & Taylor 1989)."""
         from scipy.stats import t
 
-        values, degrees = np.asarray(values, float), np.asarray(degrees, float)
-        places, scales = _located(values, degrees)
-        likely = t.logpdf(values, degrees[:, None], places[:, None], scales[:, None]).sum(1)
+        values, tried = np.asarray(values, float), np.asarray(degrees, float)
+        places, scales = _located(values, tried)
+        likely = t.logpdf(values, tried[:, None], places[:, None], scales[:, None]).sum(1)
         best = int(np.argmax(likely))
-        return cls(float(places[best]), float(scales[best]), float(degrees[best]))
+        return cls(float(places[best]), float(scales[best]), float(tried[best]))
 
     def beyond(self, values):
         """p that a sound recording's is as large, of each of ``values``."""

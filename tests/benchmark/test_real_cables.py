@@ -94,6 +94,7 @@ def found():
     return study(ropes(), plan=plan, report=lambda text: None)
 
 
+@pytest.mark.slow
 def test_a_rope_that_bends_lacks_bending_first_and_no_drag():
     assert found().climb.accepted[0] == "bending"
     assert "quadratic_drag" not in found().climb.accepted

@@ -206,6 +206,7 @@ def test_a_twin_that_explodes_is_a_row_and_the_others_are_scored(tmp_path, monke
     assert "| spring-gaus | - | 0 of 1 |" in table and "spring-gaus diverged in 1 (not in the means): one at frame" in table
 
 
+@pytest.mark.slow
 def test_an_ablation_of_cameras_is_complete_where_there_is_one(tmp_path):
     made = short()
     collection = Collection("few", {"one": lambda: replace(made, cameras=made.cameras[:1])}, in_domain=("one",))

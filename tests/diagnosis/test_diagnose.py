@@ -162,6 +162,7 @@ def test_held_out_frames_and_transfer_recordings_are_never_fitted(recordings, na
         assert spoilt["baseline"] > 5 * found.result["fit"]["train"]["baseline"]  # what was spoiled does count where it is compared
 
 
+@pytest.mark.slow
 def test_amplitudes_do_not_depend_on_held_out_frames(recordings, named):
     case, other = recordings
     again = twinbench.diagnose(spoiled(case, TRAIN), twin="springs", transfer=[other], weights=NAMING)

@@ -167,6 +167,7 @@ def test_effects_act_in_recordings_that_are_not_known_to_be_sound(twin, recordin
     np.testing.assert_array_equal(alone, second)
 
 
+@pytest.mark.slow
 def test_a_place_is_looked_for_on_the_body_in_each_recording(twin, recording):
     # the second recording is the first, 20 cm aside: a weight on the same part of the body does the same there, at the moved place
     aside = np.array([0.2, 0.0, 0.0])

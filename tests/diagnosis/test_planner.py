@@ -86,7 +86,7 @@ def nats(fits):
     ],
     ids=["drags", "leans"],
 )
-@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("which", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_planned_motion_decides_what_the_recording_left_open(tiny, pair, path, which):
     # before, the odds are no better than ten to one (2.3 nats) for either; after the planned motion, e^20 for the truth
     truth, sign = pair[which], (1, -1)[which]

@@ -523,6 +523,7 @@ def test_full_and_quick_differ_in_width_batch_and_updates_alone():
     assert replace(quick, width=512, batch=64, iterations=5000) == full
 
 
+@pytest.mark.slow
 def test_it_learns_that_a_carried_block_follows_the_hand():
     # trained on ways along x and y, tested on a way across both: turned copies are what the augmentation draws. A block that stays is 2.4 m
     # off in the last frame; a third of that leaves room for a fit of seconds, while one that learned nothing fails. The block is large

@@ -226,6 +226,7 @@ def folded(fold, size=13, pitch=0.015, gap=0.004):
     return np.column_stack([x, flat[:, 1] + shift, z + 0.002]), np.column_stack([flat, 0 * flat[:, 0]]), mesh(2 * size, size)
 
 
+@pytest.mark.slow
 def test_a_folded_cloth_rests_on_itself():
     # one and a quarter seconds, looked at 240 times a second: layers are never half a thickness apart, and stay where they lie; without
     # contact the same cloth falls into itself

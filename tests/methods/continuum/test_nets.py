@@ -67,6 +67,7 @@ def test_steps_follow_the_stiffness(recording):
     assert np.isfinite(simulator.run([dict(youngs_modulus=16e4)], FRAMES)).all()
 
 
+@pytest.mark.slow
 def test_the_same_fit_of_a_net(recording, tmp_path):
     twin = Continuum().fitted([recording], Config(elements="springs", starts=1, iterations=2, refinement=1, members=0, grips=False))
     assert isinstance(twin.scene.body, Net) and "poisson" not in twin.values
