@@ -79,16 +79,11 @@ def compared(
     noise, _ = forward.noise(paths)
     sd = np.where(forward.layout.fitted, np.sqrt(np.diag(noise)), np.inf)
 
-    def absorbed(each, slopes):
-        def run(shifts):
-            return np.concatenate([one.at(shift) for one, shift in zip(each, shifts, strict=True)])
-
-        return absorb([one.data for one in each], references, slopes, sd, run, each[-1].bounds, rounds=config.rounds)
-
-    spread = _spread(absorbed(each, slopes)[1][:-1])
+    _, shifts = _absorbed(each, references, slopes, sd, config.rounds)
+    spread = _spread(shifts[:-1])
     each, slopes = [replace(one, spread=spread) for one in each], slopes * spread
     forward = each[-1]
-    left, _ = absorbed(each, slopes)
+    left, _ = _absorbed(each, references, slopes, sd, config.rounds)
     kept = np.isfinite(left[:-1]).all(1)
     if kept.sum() < FEWEST:
         raise ValueError(f"the twin must not diverge in {FEWEST} sound recordings, got {int(kept.sum())} (scenario {case.name})")
@@ -101,6 +96,15 @@ def compared(
     return Evidence(
         forward, reference, slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), (), np.zeros((0, slopes.shape[-1]))
     )
+
+
+def _absorbed(each: Sequence[Forward], references, slopes, sd, rounds: int) -> tuple[np.ndarray, np.ndarray]:
+    """What ``absorb`` returns of recordings, each (K) with the reference of its own."""
+
+    def run(shifts):
+        return np.concatenate([one.at(shift) for one, shift in zip(each, shifts, strict=True)])
+
+    return absorb([one.data for one in each], references, slopes, sd, run, each[-1].bounds, rounds=rounds)
 
 
 def _spread(shifts: np.ndarray) -> np.ndarray:

@@ -52,11 +52,12 @@ class Tail:
 def _located(values: np.ndarray, degrees: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(places (d,), scales (d,)) of ``values`` (n,) for each of ``degrees`` (d,)."""
     place, square = np.full(len(degrees), np.median(values)), np.full(len(degrees), np.var(values) + 1e-12)
+    off = (values - place[:, None]) ** 2
     for _ in range(STEPS):
-        off = (values - place[:, None]) ** 2
         weights = (degrees[:, None] + 1) / (degrees[:, None] + off / square[:, None])
         last, place = (place, square), weights @ values / weights.sum(1)
-        square = np.sum(weights * (values - place[:, None]) ** 2, 1) / len(values) + 1e-12
+        off = (values - place[:, None]) ** 2
+        square = np.sum(weights * off, 1) / len(values) + 1e-12
         if np.all(abs(place - last[0]) < SETTLED * np.sqrt(square)) and np.all(abs(square - last[1]) < SETTLED * square):
             break
     return place, np.sqrt(square)
