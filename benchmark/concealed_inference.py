@@ -18,10 +18,9 @@ from typing import Any
 import numpy as np
 
 from ..datasets.scenario import Scenario
+from ..diagnosis.asking import sound_twin
 from ..diagnosis.config import DiagnosisConfig
 from ..diagnosis.inference.phases import Answer, Evidence, gathered, weighed
-from ..methods.continuum import Continuum
-from ..methods.continuum.config import Config
 from ..methods.continuum.twin import ContinuumTwin
 from .opening import open_scenario
 from .solid_oracle import simulated
@@ -48,14 +47,11 @@ SHOWN = (
 SHOWN += ("runs", "run_cpu", "fit_cpu", "cpu", "wall")
 
 
-def fitted(recording: Scenario, kept: Path | None, cells: float | None, seed: int) -> ContinuumTwin:
-    """The sound twin; one that is ``kept`` there is not fitted again.
-
-    It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use.
-    """
+def fitted(recording: Scenario, kept: Path | None, config: DiagnosisConfig, seed: int) -> ContinuumTwin:
+    """The sound twin; one that is ``kept`` there is not fitted again."""
     if kept and kept.exists():
         return ContinuumTwin.load(kept)
-    twin = Continuum().fitted([recording.observed()], Config(coarse=cells, refinement=0), seed=seed)
+    twin = sound_twin([recording], config, seed=seed)
     if kept:
         kept.parent.mkdir(parents=True, exist_ok=True)
         twin.save(kept)
@@ -79,7 +75,7 @@ def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | Non
     begun = time.time(), time.process_time()
     recording = open_scenario(str(root / case / "fit"))
     kept = Path(keep) / root.name / case if keep else None
-    twin = fitted(recording, kept and kept / "twin", config.cells, seed)
+    twin = fitted(recording, kept and kept / "twin", config, seed)
     spent = time.process_time() - begun[1]
     evidence = gathered(twin, [recording], config, seed=seed, progress=progress)
     if kept:

@@ -24,6 +24,7 @@ from .inference.contrast import comparable, until
 from .inference.peers import FEWEST, compared, there
 from .inference.phases import Answer, Evidence, Named, gathered, tested, weighed
 from .inference.planning import Plan
+from .inference.settling import settled
 from .outcome import Outcome, verdict_of
 from .suitable import suitable
 
@@ -50,9 +51,11 @@ class Asked:
 def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed: int = 0, device: str = "cpu") -> ContinuumTwin:
     """The twin that is questioned, fitted jointly to the train frames of ``recordings``.
 
-    It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use.
+    It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use;
+    then it is settled on the means that the inference tests.
     """
-    return Continuum().fitted([one.observed() for one in recordings], _coarse(config, recordings), seed=seed, device=device)
+    found = Continuum().fitted([one.observed() for one in recordings], _coarse(config, recordings), seed=seed, device=device)
+    return settled(found, recordings, config)
 
 
 def _coarse(config: DiagnosisConfig, recordings: Sequence[Scenario]) -> Config:
@@ -190,7 +193,8 @@ def _with(
         return _refitted_twin(twin, evidence, named)
     progress(f"fitting the twin with {named.words}")
     recordings = evidence.forward.recordings
-    return told_twin(twin, [one.observed() for one in recordings], named, _coarse(config, recordings), seed=seed)
+    found = told_twin(twin, [one.observed() for one in recordings], named, _coarse(config, recordings), seed=seed)
+    return settled(found, recordings, config)
 
 
 def _refitted_twin(twin: ContinuumTwin, evidence: Evidence, named: Named) -> ContinuumTwin:

@@ -15,12 +15,12 @@ from .world import SETTLE, ElasticWorld, Motion, Physics, Step, run
 __all__ = ["UNABLE_OF_CELLS", "World", "about", "pulled", "simulate", "stuck"]
 
 SLIPPERY = 1e-5  # of the table: MuJoCo takes the larger coefficient of the two in contact, so the body's own counts
-UNROLLED = 0.1  # m, torsional and rolling friction of a rope: where friction times its radius is less it slides and never rolls
 CELLS_SMALLER = 2  # as many steps for quadratic cells: these ring where tetrahedra are too stiff to, and the steps are of first order
 ROPE_SMALLER = 4  # as many steps for resolved ropes: the shorter the segments of a chain, the shorter the steps that it converges with
 CLOSE = 1e-6  # relative residual to which steps of quadratic cells are solved; their solver runs out of iterations at a hundredth of that
 JOINT, STIFFNESS = 10, 4  # numbers that MuJoCo keeps for a joint of a rope, and which of them is half its stiffness E I / l
 FIRM = 0.9999  # impedance of the grip on a resolved rope or cloth
+APART = '<contact contype="0" conaffinity="0" selfcollide="none"/>'  # of what touches nothing
 BEND = 17  # numbers that it keeps for an edge of a cloth
 # what laws ask of elements, and MuJoCo's quadratic cells, linear and corotated, do not give
 UNABLE_OF_CELLS = frozenset(
@@ -297,7 +297,9 @@ class _Clamps:
 
     def __init__(self, world):
         self.world, model = world, world.model
-        self.frames = slice(int(model.flex_plasticadr[0]), int(model.flex_plasticadr[0]) + 6 * len(world.body.elements))
+        mujoco = world.mujoco
+        first = int(model.flex_plasticadr[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, "body")])
+        self.frames = slice(first, first + 6 * len(world.body.elements))
         self.segments, self.hands = [], []
         for hand, held in enumerate(world.gripped):
             for segment in np.flatnonzero(np.isin(world.body.elements, held).all(axis=1)):
@@ -328,8 +330,7 @@ class _Clamps:
 def _mjcf(body, points, gripped, physics, dt):
     """The scene as MJCF. Only the ``discrete`` integrator is stable for a soft flex at a millisecond.
 
-    A pyramid instead of the elliptic cone would have 0.7 times the friction along diagonals. A rope of free segments would roll over the
-    table like a smooth straight rod; a laid rope has a set and a rough skin, and slides.
+    A pyramid instead of the elliptic cone would have 0.7 times the friction along diagonals.
     """
     stiff = f'solref="{2 * dt:.9g} 1" solimp="0.99 0.999 0.001"'
     hands = "".join(
@@ -343,12 +344,11 @@ def _mjcf(body, points, gripped, physics, dt):
     grips = "".join(
         f'<connect body1="hand_{i}" body2="{names[v]}" anchor="0 0 0" {grasp}/>' for i, held in enumerate(gripped) for v in held
     )
-    grip = f'condim="6" friction="{body.friction} {UNROLLED} {UNROLLED}"' if body.dim == 1 else f'friction="{body.friction}"'
-    contact = f'<contact selfcollide="{"auto" if body.layers else "none"}" {grip} {stiff}/>'
+    contact = f'<contact selfcollide="{"auto" if body.layers else "none"}" friction="{body.friction}" {stiff}/>'
     elastic = f'young="{body.young:.9g}" poisson="{body.poisson}" damping="{body.damping:.9g}"'
     rest = {1: f'shear="{body.shear:.9g}"', 2: f'thickness="{body.thickness}" elastic2d="both"', 3: ""}[body.dim]
     yields = f'yield="{numbers(body.yields if body.dim == 2 else body.yields[:1])}"' if max(body.yields) > 0 else ""
-    edge = f'<edge equality="true" {stiff}/>' if body.dim == 1 else ""
+    taut = f'<flex flex="skin" {stiff}/>' if body.dim == 1 else ""
     solver = f'solver="CG" iterations="200" tolerance="{1e-8 if body.cells is None else CLOSE}"'
     if body.resolved and body.dim == 1:  # conjugate gradients run out of iterations where a fine chain hardly stretches
         solver = 'solver="Newton" iterations="100" tolerance="1e-12"'
@@ -362,14 +362,26 @@ def _mjcf(body, points, gripped, physics, dt):
     {hands}
     <flexcomp name="body" type="direct" dim="{body.dim}" mass="{body.mass.sum():.12g}" radius="{body.radius}" {cells}
       point="{numbers(points)}" element="{numbers(body.elements)}">
-      {contact}
+      {APART if body.dim == 1 else contact}
       <elasticity {elastic} {rest} {yields}/>
-      {edge}
     </flexcomp>
   </worldbody>
-  {_creases(body)}
-  <equality>{grips}</equality>
+  {_skin(body, contact) if body.dim == 1 else _creases(body)}
+  <equality>{grips}{taut}</equality>
 </mujoco>"""
+
+
+def _skin(body, contact):
+    """What touches the table, and does not stretch, is a second chain of the rope's vertices, which knows nothing of turns.
+
+    A rope of segments that are free to turn about themselves rolls over the table like a smooth straight rod; a laid rope has a set and a
+    rough skin, and slides. Rolling friction is no way to that: it resists any turn of a segment, so that a rope bends and unrolls on the
+    table as if it were several times as stiff and as rough.
+    """
+    names = " ".join(_names(body))
+    return f"""<deformable><flex name="skin" dim="1" radius="{body.radius}" body="{names}" element="{numbers(body.elements)}">
+      {contact}
+    </flex></deformable>"""
 
 
 def _names(body):
@@ -414,6 +426,6 @@ def _creases(body):
     names = " ".join(f"body_{v}" for v in range(len(body.vertices)))
     elastic = f'young="{body.young:.9g}" poisson="{body.poisson}" thickness="{body.thickness}" damping="{body.crease:.9g}"'
     return f"""<deformable><flex name="creases" dim="2" radius="{body.radius}" body="{names}" element="{numbers(body.elements)}">
-      <contact contype="0" conaffinity="0" selfcollide="none"/>
+      {APART}
       <elasticity {elastic} elastic2d="bend"/>
     </flex></deformable>"""

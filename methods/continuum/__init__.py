@@ -49,7 +49,7 @@ class Continuum(Method):
         if config.rest == "equilibrium":
             scene = Simulator(scene, extra, device).unloaded(observed[0], values)
         scene = replace(scene, notes=(*scene.notes, *_said(found)))
-        twin = ContinuumTwin(scene, values, extra, posterior_of(found), device)
+        twin = ContinuumTwin(scene, values, extra, posterior_of(found.fit), device)
         return replace(twin, scene=replace(scene, notes=(*scene.notes, *_met(twin, observed[0].observed_frames))))
 
     def skip(self, scenario) -> str | None:

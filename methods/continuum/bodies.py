@@ -42,6 +42,7 @@ class Body(ABC):
     seconds: float = np.inf  # of each
     iterations: int = 8  # of the search, at most
     coarse: float = 1.5  # times as large as usual, the cells of the search
+    settling: int = 0  # steps, at most, by which a diagnosis fits its twin to the very means that it tests (``inference.settling``)
     structure: np.ndarray
     surface: np.ndarray
     notes: tuple[str, ...]

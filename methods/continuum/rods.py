@@ -34,6 +34,7 @@ GRAVITY = 9.81  # m/s^2, that makes lengths and rigidities comparable, wherever 
 STRETCH = 0.002  # by which a rope hung up by one end is longer: less does not show, and asks for shorter steps
 RATTLE = 0.2  # damping ratio of a segment's stretch: its waves die out within a few segments
 MOST_MARKERS = 64  # on a rope; more tracks are those of a filmed skin
+WINDOW = 1.5  # s of each recording of markers that are fitted
 SEGMENTS = 32  # of a filmed rope: bends as sharp as its ends allow are several segments long
 BETWEEN = 4  # material points of a segment of a filmed rope, so that a hand takes hold smoothly
 BENT = 1.4  # by which a hinge that bends by 65 degrees is stiffer than in frame 0, 1 / cos^2 of half of that
@@ -59,8 +60,8 @@ class Rod(Body):
     nuisances = ("bending_time", "torsion_ratio", "drag_damping")
     dimensions = 1
     recordings = 40
-    seconds = 1.5
     iterations = 16
+    settling = 16
 
     strands: Strands
     radius: float
@@ -174,6 +175,11 @@ class Rod(Body):
     @property
     def thickness(self) -> float:
         return 2 * self.radius or STRAND
+
+    @property
+    def seconds(self) -> float:
+        """Of markers, which come at 100 Hz and by the dozen of recordings, windows say as much."""
+        return WINDOW if self.is_marked else np.inf
 
     @property
     def markers(self) -> np.ndarray:

@@ -18,6 +18,7 @@ from .bodies import class_of
 from .config import Config
 from .hands import Hand
 from .joint import placed
+from .result import Fit
 from .scene import REACH, Scene
 from .simulate import Simulator
 from .start import Speeds
@@ -173,9 +174,8 @@ class ContinuumTwin(Twin):
         return cls(scene, state["values"], extra, state["posterior"], state["device"], state.get("unlisted", 0))
 
 
-def posterior_of(estimate) -> dict:
-    """What a twin keeps of an ``Estimate``, as JSON has it."""
-    found = estimate.fit
+def posterior_of(found: Fit) -> dict:
+    """What a twin keeps of a fit, as JSON has it."""
     return dict(
         unknowns=[asdict(u) for u in found.unknowns],
         scaled=found.scaled.tolist(),
