@@ -14,6 +14,7 @@ from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import affordable, drawn, ran, shared
 from twinbench.diagnosis.inference.scan import signatures
+from twinbench.diagnosis.inference.settling import settled
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.unknowns import Unknown
 
@@ -83,6 +84,34 @@ def test_members_are_other_bodies_that_run(twin, recording):
     assert (apart > 0.05).all() and (apart < 20).all()  # mm: of a block of a few cm that is lifted
     assert len(np.unique(np.round(apart, 6))) == len(apart)
     assert forward.cost.runs == 1 + len(runs)
+
+
+def test_a_twin_settles_on_the_means_that_are_tested(twin, recording, monkeypatch):
+    # from half the modulus and a third of the damping to those that made the recording, within three of its own standard deviations
+    unknowns = [Unknown(**u) for u in twin.posterior["unknowns"]]
+    off = dict(youngs_modulus=0.5 * TRUE["youngs_modulus"], damping_time=TRUE["damping_time"] / 3)
+    posterior = twin.posterior | dict(scaled=[u.encode(off[u.name]) for u in unknowns])
+    wrong = replace(twin, values=twin.values | off, posterior=posterior)
+    assert settled(wrong, [recording], CONFIG) is wrong  # no kind settles that does not say so
+    monkeypatch.setattr(type(twin.scene.body), "settling", 8)
+    found = settled(wrong, [recording], CONFIG)
+    sds = np.sqrt(np.diag(found.posterior["covariance"]))
+    assert sds[0] < 0.2  # of the logarithm of a modulus that was off by 0.7; so slow a motion hardly tells damping
+    for u, scaled, sd in zip(unknowns, found.posterior["scaled"], sds, strict=True):
+        assert abs(scaled - u.encode(TRUE[u.name])) < 3 * sd
+        assert found.values[u.name] == pytest.approx(u.decode(scaled))
+    assert found.values["poisson"] == TRUE["poisson"]  # what was not fitted stays
+    left = Forward.of(found, [recording], CONFIG).reference()[1] - Forward.of(twin, [recording], CONFIG).reference()[1]
+    assert 1e3 * np.sqrt(np.mean(left**2)) < 0.5  # mm, where the noise of a point is 1
+
+
+def test_held_out_frames_settle_nothing(twin, recording, monkeypatch):
+    monkeypatch.setattr(type(twin.scene.body), "settling", 2)
+    points = recording.points.copy()
+    points[recording.split.train_end :] += 0.05
+    moved = replace(recording, points=points)
+    one, other = (settled(twin, [r], CONFIG) for r in (recording, moved))
+    assert one.posterior["scaled"] == other.posterior["scaled"]
 
 
 def test_members_are_shared_by_threads_and_what_they_find_is_not(twin, recording, monkeypatch):
