@@ -9,6 +9,7 @@ import pytest
 from blocks import FRAMES, lifted, recorded
 from twinbench.benchmark.challenge.schema import Answer
 from twinbench.datasets.scenario import Plane, Split
+from twinbench.diagnosis import asking
 from twinbench.diagnosis.asking import ask, informed, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
@@ -59,10 +60,11 @@ def test_what_does_not_suit_is_refused_by_name():
 
 def test_as_many_recordings_are_fitted_as_are_asked(monkeypatch):
     # a fit of a solid takes three at most unless it is told otherwise, of which the numbers of hands would be taken for those of others
-    told = []
+    told, settling = [], []
     monkeypatch.setattr(Continuum, "fitted", lambda self, observed, config, **more: told.append((len(observed), config.recordings)))
+    monkeypatch.setattr(asking, "settled", lambda twin, recordings, config: settling.append(len(recordings)))
     sound_twin([block(f"take {k}", seed=k) for k in range(5)], CONFIG)
-    assert told == [(5, 5)]
+    assert told == [(5, 5)] and settling == [5]
 
 
 def test_few_points_or_frames_are_refused():
