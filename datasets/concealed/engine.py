@@ -378,10 +378,7 @@ def _skin(body, contact):
     rough skin, and slides. Rolling friction is no way to that: it resists any turn of a segment, so that a rope bends and unrolls on the
     table as if it were several times as stiff and as rough.
     """
-    names = " ".join(_names(body))
-    return f"""<deformable><flex name="skin" dim="1" radius="{body.radius}" body="{names}" element="{numbers(body.elements)}">
-      {contact}
-    </flex></deformable>"""
+    return _beside(body, "skin", contact)
 
 
 def _names(body):
@@ -423,9 +420,13 @@ def _creases(body):
     """A second shell over the same vertices that bends only: its damping is that of creases, not of stretch."""
     if not body.crease:
         return ""
-    names = " ".join(f"body_{v}" for v in range(len(body.vertices)))
     elastic = f'young="{body.young:.9g}" poisson="{body.poisson}" thickness="{body.thickness}" damping="{body.crease:.9g}"'
-    return f"""<deformable><flex name="creases" dim="2" radius="{body.radius}" body="{names}" element="{numbers(body.elements)}">
-      {APART}
-      <elasticity {elastic} elastic2d="bend"/>
+    return _beside(body, "creases", f'{APART}<elasticity {elastic} elastic2d="bend"/>')
+
+
+def _beside(body, name, inside):
+    """A second flex over the vertices and elements of the body."""
+    names, elements = " ".join(_names(body)), numbers(body.elements)
+    return f"""<deformable><flex name="{name}" dim="{body.dim}" radius="{body.radius}" body="{names}" element="{elements}">
+      {inside}
     </flex></deformable>"""

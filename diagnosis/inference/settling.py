@@ -38,11 +38,10 @@ def settled(twin: ContinuumTwin, recordings: Sequence[Scenario], config: Diagnos
         return twin
     paths, reference = forward.reference()
     noise = np.hypot(np.sqrt(np.diag(forward.noise(paths)[0])), 1e-3 * config.floor)
-    names = [u.name for u in forward.unknowns]
+    names, most = [u.name for u in forward.unknowns], config.dearest * forward.steps({})
 
     def simulate(values) -> np.ndarray:
         rows = [dict(zip(names, map(float, row), strict=True)) for row in values]
-        most = config.dearest * forward.steps({})
         return run_within(rows, forward.rows, forward.steps, most, len(reference))
 
     begin = forward.values(np.zeros(len(names)))
@@ -58,5 +57,4 @@ def settled(twin: ContinuumTwin, recordings: Sequence[Scenario], config: Diagnos
         )
     except AllDiverged:
         return twin
-    own = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
-    return replace(twin, values=twin.values | own, posterior=posterior_of(found))
+    return replace(twin, values=twin.values | own_values(found.values, 0), posterior=posterior_of(found))

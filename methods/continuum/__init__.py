@@ -44,7 +44,7 @@ class Continuum(Method):
 
         used, scenes, body = scenes_of(observed, config, seed=seed)
         found = estimate(used, scenes, config, seed=seed, device=device, progress=progress, **told)
-        values = {name: float(v) for name, v in own_values(found.values, 0).items() if not name.startswith("rec")}
+        values = {name: float(v) for name, v in own_values(found.values, 0).items()}
         scene, extra = placed(observed[0], body, config), tuple(told.get("extra", ()))
         if config.rest == "equilibrium":
             scene = Simulator(scene, extra, device).unloaded(observed[0], values)
