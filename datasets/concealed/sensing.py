@@ -115,7 +115,10 @@ def sensed(
     points  (T, N, 3) where the tracked points of the body were [m]; hands  (T, H, 3) the grips; turns  (T, H, 3, 3) rotations of the hands
     """
     cameras = tracker.cameras()
-    skin, faces = _skin(body, to_world(motion.vertices))
+    axes = to_world(np.eye(3))
+    turns = axes @ np.swapaxes(motion.rotation, 0, 1) @ axes.T
+    held = [(int(np.median(own)), turns[:, h] @ turns[0, h].T) for h, own in enumerate(motion.gripped)]
+    skin, faces = _skin(body, to_world(motion.vertices), held)
     hands = [_hand(body, hand, held) for hand, held in zip(script.hands, motion.gripped, strict=True)]
     attached = Attached.sample(faces, skin[0], CANDIDATES, rng)
     points = attached.at(skin)
@@ -159,23 +162,16 @@ def sensed(
         split=Split(int(TRAIN * len(points)), len(points)),
         tracks=np.where(visible[:, annotated, None], rounded(tracks), np.nan),
     )
-    axes = to_world(np.eye(3))
-    turns = axes @ np.swapaxes(motion.rotation, 0, 1) @ axes.T
     return scenario, {"points": points[:, tracked], "hands": to_world(np.swapaxes(motion.position, 0, 1)), "turns": turns}
 
 
-def _skin(body, vertices):
-    """What can be seen of a body: vertices (T, S, 3) and faces, of a rope a tube around it."""
+def _skin(body, vertices, hands=()):
+    """What can be seen of a body: vertices (T, S, 3) and faces, of a rope a tube around it. ``hands`` as for ``_across``."""
     if body.dim > 1:
         return vertices, body.faces
     tangent = np.gradient(vertices, axis=1)
     tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
-    side = np.zeros_like(tangent)
-    start = np.cross(tangent[:, 0], [0.3, 0.2, 1.0])
-    side[:, 0] = start / np.linalg.norm(start, axis=1, keepdims=True)
-    for i in range(1, vertices.shape[1]):  # carried along without twist
-        carried = side[:, i - 1] - np.einsum("td,td->t", side[:, i - 1], tangent[:, i])[:, None] * tangent[:, i]
-        side[:, i] = carried / np.linalg.norm(carried, axis=1, keepdims=True)
+    side = _across(vertices, tangent, hands)
     other = np.cross(tangent, side)
     angle = 2 * np.pi * np.arange(AROUND) / AROUND
     ring = np.cos(angle)[:, None] * side[:, :, None] + np.sin(angle)[:, None] * other[:, :, None]
@@ -185,6 +181,35 @@ def _skin(body, vertices):
     band = np.concatenate([np.stack([a, b, a + AROUND], 1), np.stack([b, b + AROUND, a + AROUND], 1)])
     faces = np.concatenate([band + AROUND * i for i in range(vertices.shape[1] - 1)])
     return tube.reshape(len(tube), -1, 3), faces
+
+
+def _across(vertices, tangent, hands):
+    """(T, V, 3) unit vectors across a rope's ``tangent`` (T, V, 3) that go with its material.
+
+    ``hands``: the vertex that each holds and its turns (T, 3, 3) since frame 0. A rope's twist is at rest, and nothing but hands turns it
+    about itself: it turns with the hand that holds it, is without twist from there to its ends, and evenly twisted between two hands.
+    """
+    first, turns = hands[0] if hands else (0, np.broadcast_to(np.eye(3), (len(vertices), 3, 3)))
+    begin = turns @ np.cross(tangent[0, first], [0.3, 0.2, 1.0])
+    side = np.zeros_like(tangent)
+    side[:, first] = _unit(begin - np.einsum("td,td->t", begin, tangent[:, first])[:, None] * tangent[:, first])
+    for way in (1, -1):  # carried along without twist
+        for i in range(first + way, vertices.shape[1] if way > 0 else -1, way):
+            before = side[:, i - way]
+            side[:, i] = _unit(before - np.einsum("td,td->t", before, tangent[:, i])[:, None] * tangent[:, i])
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices[0], axis=0), axis=1))])
+    for held, turns in hands[1:]:
+        own, along = turns @ side[0, held], tangent[:, held]
+        sine, cosine = np.einsum("td,td->t", np.cross(side[:, held], own), along), np.einsum("td,td->t", side[:, held], own)
+        angle = np.unwrap(np.arctan2(sine, cosine))
+        order = np.argsort([first, held])
+        twist = np.stack([np.interp(arc, arc[[first, held]][order], np.array([0.0, a])[order]) for a in angle])[..., None]
+        side = np.cos(twist) * side + np.sin(twist) * np.cross(tangent, side)
+    return side
+
+
+def _unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _hand(body, hand, held):

@@ -42,6 +42,7 @@ class Body(ABC):
     seconds: float = np.inf  # of each
     iterations: int = 8  # of the search, at most
     coarse: float = 1.5  # times as large as usual, the cells of the search
+    stride: float = 0.5  # of the longest step that is stable near rest, its steps
     settling: int = 0  # steps, at most, by which a diagnosis fits its twin to the very means that it tests (``inference.settling``)
     structure: np.ndarray
     surface: np.ndarray
@@ -133,6 +134,11 @@ class Body(ABC):
     @abstractmethod
     def followed(self, path: np.ndarray) -> np.ndarray:
         """(T, M, 3) m, the structure points while the nodes go along ``path`` (T, N, 3)."""
+
+    @property
+    def unwatched(self) -> Body:
+        """The same where hands move otherwise than in the recording: without what its later frames tell of this one motion."""
+        return self
 
     def speeds(self, recording: Observed) -> Speeds:
         """How fast it is in frame 0, from the recording's first frames: its structure points, smoothly, unless a kind says more."""

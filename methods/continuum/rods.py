@@ -22,6 +22,7 @@ from .body import SolidBody
 from .chains import marked_chains
 from .config import Config
 from .natural import LOOKS, common_shapes, shape_unknowns, shape_values
+from .rolling import Rolling
 from .start import Speeds
 from .strands import Strands, divided, embedded
 from .unknowns import Unknown, rounded_up
@@ -35,7 +36,8 @@ STRETCH = 0.002  # by which a rope hung up by one end is longer: less does not s
 RATTLE = 0.2  # damping ratio of a segment's stretch: its waves die out within a few segments
 MOST_MARKERS = 64  # on a rope; more tracks are those of a filmed skin
 WINDOW = 1.5  # s of each recording of markers that are fitted
-SEGMENTS = 32  # of a filmed rope: bends as sharp as its ends allow are several segments long
+SEGMENTS = 32  # of a filmed rope: bends as sharp as its ends allow are several segments long, and a hand ends within a few millimetres
+STRIDE = 0.8  # of its stable step: 0.1 mm off beside steps a fifth as long, where 0.5 is 0.05 mm off and costs half as much again
 BETWEEN = 4  # material points of a segment of a filmed rope, so that a hand takes hold smoothly
 BENT = 1.4  # by which a hinge that bends by 65 degrees is stiffer than in frame 0, 1 / cos^2 of half of that
 SEEN_START = 7  # frames that tell how fast markers move where more than two are known: 0.2 mm of jitter is then 1.2 cm/s at 100 Hz
@@ -51,6 +53,7 @@ class Rod(Body):
     radius   m, of the section as it was filmed; 0 where markers tell nothing of it
     natural  (H, 2) curvature of the hinges as the body lay when it was fitted, a share of which is natural; zeros for markers, which hang
     marks    (M,) the node that a structure point is, or -1
+    rolling  of a filmed skin, as tracks tell it; None where they do not
 
     Its values, at 1 kg/m: bending_stiffness [N m^2], bending_time [s], its damping over that; torsion_ratio, stiffness against twist
     over that; drag_damping [1/s]; natural_kept, or modes of natural curvature.
@@ -61,6 +64,7 @@ class Rod(Body):
     dimensions = 1
     recordings = 40
     iterations = 16
+    coarse = 1.0
     settling = 16
 
     strands: Strands
@@ -69,6 +73,7 @@ class Rod(Body):
     structure: np.ndarray
     marks: np.ndarray
     notes: tuple[str, ...] = ()
+    rolling: Rolling | None = None
 
     # ---------------------------------------------------------------- made
 
@@ -100,8 +105,8 @@ class Rod(Body):
         nodes = resampled(axis, segments + 1)
         chain = np.arange(segments + 1)
         strands = Strands(nodes, (chain,), np.linalg.norm(np.diff(nodes, axis=0), axis=1))
-        natural = natural_curvature(nodes, strands.hinges, (chain,))
-        return cls(strands, radius, natural, recording.structure, np.full(len(recording.structure), -1))
+        natural, free = natural_curvature(nodes, strands.hinges, (chain,)), np.full(len(recording.structure), -1)
+        return cls(strands, radius, natural, recording.structure, free, rolling=Rolling.of(recording, resampled(axis, FINE)))
 
     @classmethod
     def joined(cls, bodies: Sequence[Any], recordings):
@@ -177,6 +182,10 @@ class Rod(Body):
         return 2 * self.radius or STRAND
 
     @property
+    def stride(self) -> float:
+        return super().stride if self.is_marked else STRIDE
+
+    @property
     def seconds(self) -> float:
         """Of markers, which come at 100 Hz and by the dozen of recordings, windows say as much."""
         return WINDOW if self.is_marked else np.inf
@@ -239,7 +248,11 @@ class Rod(Body):
         return embedded(self.strands, self.structure, self.marks)
 
     def followed(self, path):
-        return self.embedding.followed(path, turning=not self.is_marked)
+        return self.embedding.followed(path, turning=not self.is_marked, rolling=self.rolling)
+
+    @cached_property
+    def unwatched(self) -> Rod:
+        return replace(self, rolling=None)
 
     def speeds(self, recording: Observed) -> Speeds:
         """Of markers one by one: the parabola through what is known of ``SEEN_START`` frames, of two a difference; others smoothly."""
@@ -303,13 +316,16 @@ class Rod(Body):
         own = self.strands
         arrays = dict(nodes=own.nodes, rest=own.rest, chains=np.concatenate(own.chains), cuts=np.cumsum([len(c) for c in own.chains]))
         arrays |= dict(marked=np.array(own.marked), joints=own.joints)
+        arrays |= {f"rolling_{name}": value for name, value in vars(self.rolling).items()} if self.rolling else {}
         return arrays | dict(radius=np.array(self.radius), natural=self.natural, structure=self.structure, marks=self.marks)
 
     @classmethod
     def restored(cls, arrays, notes):
         chains = tuple(np.split(arrays["chains"], arrays["cuts"][:-1]))
         strands = Strands(arrays["nodes"], chains, arrays["rest"], int(arrays["marked"]), arrays["joints"])
-        return cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes)
+        seen = {name.removeprefix("rolling_"): value for name, value in arrays.items() if name.startswith("rolling_")}
+        rolling = Rolling(**seen) if seen else None
+        return cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes, rolling)
 
 
 def _is_marked(recording):

@@ -17,7 +17,7 @@ from ...physics.stability import stable_rounds, stable_substeps
 from ...physics.system import FILLED, System
 from ...physics.terms import CoulombGround, Gravity, LayerContact, SoftGrip
 from ...physics.terms.base import Term
-from .scene import Scene
+from .scene import SAME, Scene
 from .unknowns import rounded_up
 from .unloaded import SAID
 
@@ -90,7 +90,8 @@ class Simulator:
             pairs = enumerate(zip(bodies, values, strict=True))
             alone = (self._of(body, self._known_steps).run([one], frames, _of_runs(controllers, [k])) for k, (body, one) in pairs)
             return np.concatenate(list(alone))
-        return np.stack([self._observed(path) for path in self._nodes(values, frames, controllers)])
+        paths = self._nodes(values, frames, controllers)
+        return np.stack([self._observed(path, self._is_recorded(controllers, k)) for k, path in enumerate(paths)])
 
     def penetrations(self, values, frames: int) -> Penetrations:
         """How far layers or strands went into each other in a run."""
@@ -269,7 +270,7 @@ class Simulator:
         if key not in self._known_steps:
             stiffest = self.scene.body.stiffened(self.system.with_values(**most), most)
             stiffest = replace(stiffest, terms=[t for t in stiffest.terms if t.stage != "layer"])
-            substeps = stable_substeps([stiffest], 1 / self._rate_of_steps)
+            substeps = stable_substeps([stiffest], 1 / self._rate_of_steps, safety=self.scene.body.stride)
             while True:
                 try:
                     self._known_steps[key] = substeps, stable_rounds(stiffest, 1 / (self._rate_of_steps * substeps))
@@ -292,14 +293,23 @@ class Simulator:
         """Frames a second by which substeps are chosen."""
         return self.scene.fps
 
-    def _observed(self, path):
-        """(T, M, 3) structure points of a path (T, N, 3) of the nodes, NaN once it blew up."""
+    def _is_recorded(self, controllers, run: int) -> bool:
+        """Whether ``controllers``, in a ``run``, move as in the recording, as far as that goes."""
+        if controllers is None:
+            return True
+        own, there = controllers[run] if np.ndim(controllers) == 4 else controllers, self.scene.controllers
+        frames = min(len(own), len(there))
+        return own.shape[1:] == there.shape[1:] and bool(np.abs(own[:frames] - there[:frames]).max(initial=0.0) < SAME)
+
+    def _observed(self, path, recorded: bool):
+        """(T, M, 3) structure points of a path (T, N, 3) of the nodes, in hands as they were ``recorded`` or not, NaN once it blew up."""
+        body = self.scene.body if recorded else self.scene.body.unwatched
         bad = ~_sane(path).cpu().numpy()
         path = path.double().cpu().numpy()
         if not bad.any():
-            return self.scene.body.followed(path)
+            return body.followed(path)
         whole = int(bad.argmax())
-        found = self.scene.body.followed(np.concatenate([path[:whole], np.repeat(path[:1], len(path) - whole, 0)]))
+        found = body.followed(np.concatenate([path[:whole], np.repeat(path[:1], len(path) - whole, 0)]))
         found[whole:] = np.nan
         return found
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...physics.hinges import transport, unit
 from ...physics.topology import rope_hinges
+from .rolling import Rolling
 
 __all__ = ["Embedding", "Strands", "divided", "embedded"]
 
@@ -138,18 +139,18 @@ class Embedding:
     chains: tuple[np.ndarray, ...]
     home: np.ndarray
 
-    def followed(self, path: np.ndarray, *, turning: bool) -> np.ndarray:
-        """(T, M, 3) m while the nodes go along ``path`` (T, N, 3); ``turning`` with their segments, by the least turn frame by frame.
-
-        How a rope twists is not in it: points on its skin show it by their radius.
-        """
+    def followed(self, path: np.ndarray, *, turning: bool, rolling: Rolling | None = None) -> np.ndarray:
+        """(T, M, 3) m while the nodes go along ``path`` (T, N, 3); ``turning`` with their segments, by the least turn frame by frame, or as
+        it was seen ``rolling``, if it was."""
         middle = np.einsum("mk,tmki->tmi", self.weights, path[:, self.nodes])
-        return middle + (self._turned(path) if turning else self.aside)
+        return middle + (self._turned(path, rolling) if turning else self.aside)
 
-    def _turned(self, path):
+    def _turned(self, path, rolling):
         """(T, M, 3) m, what is aside of the axis, carried along by its segment."""
         way = unit(path[:, self.segments[:, 1]] - path[:, self.segments[:, 0]])
         home = unit(self.home[self.segments[:, 1]] - self.home[self.segments[:, 0]])
+        if rolling:
+            return np.einsum("tmic,mc->tmi", rolling.turned(way, home)[:, self.segment], self.aside)
         axes = np.broadcast_to(np.eye(3)[:, None], (3, len(home), 3))
         found, before = np.empty((len(path), len(self.aside), 3)), home
         for t, now in enumerate(way):
