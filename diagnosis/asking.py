@@ -24,7 +24,7 @@ from .inference.contrast import comparable, until
 from .inference.peers import FEWEST, compared, there
 from .inference.phases import Answer, Evidence, Named, gathered, tested, weighed
 from .inference.planning import Plan
-from .inference.settling import settled
+from .inference.settling import left, settled
 from .outcome import Outcome, verdict_of
 from .suitable import suitable
 
@@ -32,6 +32,8 @@ __all__ = ["Asked", "ask", "asked", "informed", "sound_twin", "told_twin"]
 
 LOST = 0.5  # of the motion: a twin that misses more was fitted to nonsense, and what a little of an effect does to it means nothing. Where
 # it misses less, effects of the catalogue say what a hand does, and a hand that goes where it likes would explain much that none did
+
+LARGER = 1.5  # times as large as usual, cells of a second search
 
 Tell = Callable[[str], None]
 
@@ -52,10 +54,18 @@ def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed:
     """The twin that is questioned, fitted jointly to the train frames of ``recordings``.
 
     It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use;
-    then it is settled on the means that the inference tests.
+    then it is settled on the means that the inference tests. Where that misses more than ``config.restless`` of the motion, a search in
+    larger cells, in which a body that is thrown has fewer ways to go wrong, is settled as well, and the better one is taken.
     """
-    found = Continuum().fitted([one.observed() for one in recordings], _coarse(config, recordings), seed=seed, device=device)
-    return settled(found, recordings, config)
+    observed, made = [one.observed() for one in recordings], _coarse(config, recordings)
+
+    def found(config_of_fit: Config) -> ContinuumTwin:
+        return settled(Continuum().fitted(observed, config_of_fit, seed=seed, device=device), recordings, config)
+
+    twin = found(made)
+    if not twin.scene.body.settling or is_marked(recordings[0], config) or left(twin, recordings, config) < config.restless:
+        return twin
+    return min((twin, found(replace(made, coarse=LARGER))), key=lambda one: left(one, recordings, config))
 
 
 def _coarse(config: DiagnosisConfig, recordings: Sequence[Scenario]) -> Config:

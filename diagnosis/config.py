@@ -41,6 +41,8 @@ class DiagnosisConfig:
                 left with 2.4 mm, after four with 1.9, after eight with 1.7 (the largest)
     stiffest    of hands, contact: members' angular frequencies over the reference's, as far up and down (log-uniform)
     motion      prior standard deviation of an effect's motion [mm]: effects that matter move a body by a few mm to a few cm
+    restless    share of its motion that a settled twin may miss before another search: a thrown rope missed 12 % in one and 0.5 % in the
+                next, 81 other sound ropes 7 % at most (results/inference.md)
     probe       motion by which a signature is measured [mm]: above rounding (0.01 mm) and within the effect's linear part
     refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members
     astray      prior standard deviation of each coordinate of a place in such a refit [mm]: places that are tried lie some 5 cm apart
@@ -80,6 +82,7 @@ class DiagnosisConfig:
     rounds: int = 4
     stiffest: float = 1.5
     motion: float = 20.0
+    restless: float = 0.1
     probe: float = 1.0
     refitted: int = 4
     astray: float = 25.0

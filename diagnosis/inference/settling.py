@@ -21,7 +21,15 @@ from ...methods.continuum.twin import ContinuumTwin, posterior_of
 from ..config import DiagnosisConfig
 from .forward import Forward
 
-__all__ = ["settled"]
+__all__ = ["left", "settled"]
+
+
+def left(twin: ContinuumTwin, recordings: Sequence[Scenario], config: DiagnosisConfig) -> float:
+    """Share of the motion of the fitted block means that ``twin`` misses, both RMS."""
+    forward = Forward.of(twin, recordings, config)
+    fitted = forward.layout.fitted
+    missed = forward.data - forward.reference()[1]
+    return float(np.linalg.norm(missed[fitted]) / max(np.linalg.norm(forward.motion[fitted]), 1e-9))
 
 
 def settled(twin: ContinuumTwin, recordings: Sequence[Scenario], config: DiagnosisConfig) -> ContinuumTwin:

@@ -22,7 +22,8 @@ EACH = 20  # tracks of a window along the rope
 MOST = 24  # windows
 OVERLAP = 1.5  # of the way from window to window, that one is long
 FEWEST = 8  # tracks seen in a window, three more than a fit has columns
-SURE = 0.5  # rad, standard deviation of an angle that tells nothing any more
+SURE = 0.05  # rad, standard deviation of an angle, at least: frame 0, in which it is known, must not outweigh its neighbours
+UNSURE = 0.5  # rad, of one that tells nothing any more
 NOISE = 2e-4  # m of a track, at least
 NEAR = (2.0, 1.0), (8.0, 2.0), (32.0, 8.0)  # frames and windows over which angles are averaged; the farther where nearer ones say nothing
 FADED = 1e-2  # what the next farther count beside the nearer
@@ -76,8 +77,8 @@ class Rolling:
         return cls(share, across[own], np.stack([f[0] for f in found], 1), np.stack([f[1] for f in found], 1), np.array(held), turns)
 
     def turned(self, ways, home) -> np.ndarray:
-        """(T', S, 3, 3), how what is at each of S segments has turned since frame 0, in which they pointed along ``home`` (S, 3), while they
-        point along ``ways`` (T', S, 3)."""
+        """(T', S, 3, 3), how what is at each of S segments has turned since frame 0, in which they pointed along ``home`` (S, 3), while
+        they point along ``ways`` (T', S, 3)."""
         across = self._with_hands(ways, home)
         before, after = (_axes(*pair) for pair in ((home, self._across(home)), (ways, across)))
         found = after @ np.swapaxes(before, -1, -2)
@@ -122,7 +123,8 @@ class Rolling:
             share *= FADED
         middles = (np.arange(count) + 0.5) / count
         rolled = np.stack([np.interp(middles, self.share, row.real) + 1j * np.interp(middles, self.share, row.imag) for row in total])
-        found = np.angle(rolled * np.conj(rolled[0]))
+        found = np.angle(rolled)
+        found[0] = 0.0
         return np.concatenate([found, np.repeat(found[-1:], len(ways) - frames, 0)])
 
 
@@ -179,5 +181,5 @@ def _window(recording, off, length, sides):
     way = first - (first * tangent).sum(1, keepdims=True) * tangent + np.cross(second, tangent)
     size = np.linalg.norm(way, axis=1)
     error = noise * np.sqrt(inverse[:, 3, 3] + inverse[:, 4, 4]) / np.maximum(size, 1e-12)
-    weight = np.where(enough & (error < SURE), 1 / np.maximum(error, 1e-3) ** 2, 0.0)
+    weight = np.where(enough & (error < UNSURE), 1 / np.maximum(error, SURE) ** 2, 0.0)
     return unit(way), weight

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from blocks import FRAMES, TRUE, recorded, sound_twin
+from twinbench.diagnosis import asking
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.inference import members, scan
@@ -14,7 +15,7 @@ from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import affordable, drawn, ran, shared
 from twinbench.diagnosis.inference.scan import signatures
-from twinbench.diagnosis.inference.settling import settled
+from twinbench.diagnosis.inference.settling import left, settled
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.unknowns import Unknown
 
@@ -103,6 +104,36 @@ def test_a_twin_settles_on_the_means_that_are_tested(twin, recording, monkeypatc
     assert found.values["poisson"] == TRUE["poisson"]  # what was not fitted stays
     left = Forward.of(found, [recording], CONFIG).reference()[1] - Forward.of(twin, [recording], CONFIG).reference()[1]
     assert 1e3 * np.sqrt(np.mean(left**2)) < 0.5  # mm, where the noise of a point is 1
+
+
+def test_what_a_twin_misses_is_a_share_of_the_motion(twin, recording):
+    # of fitted means alone, each point of which moves by what its track says
+    forward = Forward.of(twin, [recording], CONFIG)
+    fitted, start = forward.layout.fitted, forward.layout.place[np.arange(len(forward.data)), forward.layout.axis]
+    missed, moved = forward.data - forward.reference()[1], forward.data - start
+    wanted = np.sqrt(np.mean(missed[fitted] ** 2) / np.mean(moved[fitted] ** 2))
+    assert left(twin, [recording], CONFIG) == pytest.approx(wanted, rel=1e-9) and wanted < 0.05
+
+
+def test_a_twin_that_misses_much_is_searched_again_in_larger_cells(twin, recording, monkeypatch):
+    tried = []
+
+    class Search:
+        def fitted(self, _observed, config, **_):
+            tried.append(config.coarse)
+            return replace(twin, values=twin.values | {"misses": 0.3 if config.coarse == CONFIG.cells else better})
+
+    monkeypatch.setattr(asking, "Continuum", Search)
+    monkeypatch.setattr(asking, "settled", lambda one, *_: one)
+    monkeypatch.setattr(asking, "left", lambda one, *_: one.values["misses"])
+    better = 0.02
+    assert asking.sound_twin([recording], CONFIG).values["misses"] == 0.3 and tried == [CONFIG.cells]  # a kind that does not settle
+    monkeypatch.setattr(type(twin.scene.body), "settling", 8)
+    assert asking.sound_twin([recording], CONFIG).values["misses"] == 0.02 and tried[1:] == [CONFIG.cells, asking.LARGER]
+    better = 0.4
+    assert asking.sound_twin([recording], CONFIG).values["misses"] == 0.3  # the better one is kept
+    lenient = replace(CONFIG, restless=0.5)
+    assert asking.sound_twin([recording], lenient).values["misses"] == 0.3 and tried[5:] == [CONFIG.cells]
 
 
 def test_held_out_frames_settle_nothing(twin, recording, monkeypatch):

@@ -171,6 +171,36 @@ def test_points_of_a_rope_turn_with_it():
     assert np.median(np.linalg.norm(off, axis=1)) < 0.5 * spun and np.linalg.norm(off, axis=1).max() < 2.5 * spun
 
 
+def test_a_roll_that_was_seen_holds_for_the_motion_in_which_it_was_seen():
+    # the skin rolls by 1 rad about an axis that lies still: hands that move otherwise say nothing of it
+    one = filmed()
+    axis = Rod.of(one, body_of(one, kind="rope")).positions
+    along = np.gradient(axis, axis=0)
+    near = np.linalg.norm(one.points[0][:, None] - axis, axis=2).argmin(1)
+    along = along[near] / np.linalg.norm(along[near], axis=1, keepdims=True)
+    off = one.points[0] - axis[near]
+    off -= (off * along).sum(1, keepdims=True) * along
+    points = np.stack([one.points[0] - off + Rotation.from_rotvec(angle * along).apply(off) for angle in np.linspace(0, 1, 10)])
+    hands = np.zeros((10, 20, 3)) + two_hands(one)[:, :20]
+    seen = replace(
+        one,
+        points=points,
+        visible=np.ones(points.shape[:2], bool),
+        motion_valid=np.ones(points.shape[:2], bool),
+        controllers=hands,
+        grips=np.full(20, -1),
+    )
+    scene = Scene.of(seen, Rod.of(seen, body_of(seen, kind="rope")))
+    values = dict(bending_stiffness=0.01, natural_kept=1.0)
+    still, own, other = (Simulator(scene).run([values], 10, to)[0] for to in (None, hands, hands + 1e-4))
+    assert np.array_equal(still, own)
+    off, without = (np.sqrt(np.mean((path[-1, :600] - points[-1]) ** 2)) for path in (own, other))
+    assert off < 0.5 * without and without > 1e-3
+    parts = scene.body.arrays()
+    kept = Rod.restored(parts, ()).rolling
+    assert kept is not None and all(np.array_equal(value, vars(scene.body.rolling)[name]) for name, value in vars(kept).items())
+
+
 def test_a_rope_that_keeps_its_shape_lies_still():
     # its natural curvature is that of frame 0, and nothing pulls: no force anywhere
     recording = filmed()
