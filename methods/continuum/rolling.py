@@ -25,6 +25,7 @@ FEWEST = 8  # tracks seen in a window, three more than a fit has columns
 SURE = 0.05  # rad, standard deviation of an angle, at least: frame 0, in which it is known, must not outweigh its neighbours
 UNSURE = 0.5  # rad, of one that tells nothing any more
 NOISE = 2e-4  # m of a track, at least
+HOLDS = 0.05  # m, from the axis to a hand's nearest controller in frame 0, at most: a hand that turns elsewhere turns no rope
 NEAR = (2.0, 1.0), (8.0, 2.0), (32.0, 8.0)  # frames and windows over which angles are averaged; the farther where nearer ones say nothing
 FADED = 1e-2  # what the next farther count beside the nearer
 
@@ -37,7 +38,8 @@ class Rolling:
     home     (K, 3) a unit vector across the axis there in frame 0
     seen     (T, K, 3) where that points to later, by the tracks
     weight   (T, K) 1 / rad^2, how well they tell it; 0 where they do not
-    held     (H,) of its length, where hands hold it, and their ``turns`` (H, T', 3, 3) since frame 0, the last of which lasts
+    held     (H,) of its length, where hands hold it whose turning is told, and their ``turns`` (H, T', 3, 3) since frame 0, the last of
+             which lasts
     """
 
     share: np.ndarray
@@ -62,19 +64,24 @@ class Rolling:
         ropes = Ropes.of([np.arange(len(axis))])
         middle, tangent, across = (axis[1:] + axis[:-1]) / 2, unit(np.diff(axis, axis=0)), ropes.directors(axis)
         arc = np.cumsum(np.linalg.norm(np.diff(axis, axis=0), axis=1))
-        start = recording.points[0]
+        start = np.nan_to_num(recording.points[0])
         near = np.linalg.norm(start[:, None] - middle, axis=2).argmin(1)
         aside = start - middle[near]
-        along = (arc[near] + (aside * tangent[near]).sum(1)) / arc[-1]
+        along = np.where(recording.visible[0], (arc[near] + (aside * tangent[near]).sum(1)) / arc[-1], np.nan)
         sides = np.stack([(aside * d[near]).sum(1) for d in (across, np.cross(tangent, across))], 1)
         windows = int(np.clip(count // EACH, 1, MOST))
         share = (np.arange(windows) + 0.5) / windows
         found = [_window(recording, along - s, OVERLAP / windows, sides) for s in share]
         own = np.minimum((share * len(middle)).astype(int), len(middle) - 1)
-        hands = [frames_of(recording.controllers[:, one]) for one in groups_of(recording.controllers)]
-        held = [arc[np.linalg.norm(middle - centre[0], axis=1).argmin()] / arc[-1] for _, centre, _ in hands]
-        turns = np.array([steadied(turn, recording.fps) for turn, _, _ in hands])
-        return cls(share, across[own], np.stack([f[0] for f in found], 1), np.stack([f[1] for f in found], 1), np.array(held), turns)
+        held, turns = [], []
+        for hand in groups_of(recording.controllers):
+            turn, centre, told = frames_of(recording.controllers[:, hand])
+            gap = np.linalg.norm(recording.controllers[0, hand][:, None] - middle, axis=2).min()
+            if told != "point" and gap < HOLDS:
+                held.append(arc[np.linalg.norm(middle - centre[0], axis=1).argmin()] / arc[-1])
+                turns.append(steadied(turn, recording.fps))
+        seen, weight = (np.stack(parts, 1) for parts in zip(*found, strict=True))
+        return cls(share, across[own], seen, weight, np.array(held), np.array(turns))
 
     def turned(self, ways, home) -> np.ndarray:
         """(T', S, 3, 3), how what is at each of S segments has turned since frame 0, in which they pointed along ``home`` (S, 3), while

@@ -100,6 +100,24 @@ def test_after_the_frames_that_were_observed_the_last_roll_lasts():
     assert np.sqrt(np.mean((found[18:] - truth[18:]) ** 2)) < 0.06 * RADIUS  # the average of the last frames, of which some rolled less
 
 
+def test_a_hand_that_is_elsewhere_turns_nothing():
+    off = np.array([0.02, 0.2, -0.3]) + 0.02 * np.array([[0, 1, 0], [0, -1, 0.3], [0.1, 0.2, 1.0], [0, -0.2, -1.0]])
+    hands = np.stack([Rotation.from_rotvec([a, 0, 0]).apply(off - off.mean(0)) + off.mean(0) for a in np.linspace(0, 1.5, FRAMES)])
+    truth, visible = rolled(np.zeros((FRAMES, COUNT))), np.ones((FRAMES, COUNT), bool)
+    visible[1:] = False
+    assert np.abs(followed(filmed(truth, visible, hands), STILL) - truth).max() < 1e-9  # slopes in frame 0 are exact to its ridge of 1e-9
+
+
+def test_a_track_that_was_not_seen_in_frame_0_tells_nothing():
+    truth = rolled(np.linspace(0, 1.0, FRAMES)[:, None] * np.ones(COUNT))
+    visible = np.ones(truth.shape[:2], bool)
+    visible[0, ::3] = False
+    wrong = truth.copy()
+    wrong[0, ::3] = [0.2, 0.003, -0.3]  # meaningless there, as rows that are not visible are
+    one, other = (Rolling.of(filmed(points, visible), AXIS) for points in (truth, wrong))
+    assert np.array_equal(one.seen, other.seen) and np.array_equal(one.weight, other.weight)
+
+
 def test_points_without_correspondence_or_too_few_tell_nothing():
     recording = filmed(rolled(np.zeros((FRAMES, COUNT))))
     assert Rolling.of(replace(recording, correspond=False), AXIS) is None
