@@ -198,8 +198,7 @@ def bending_damping(on, size):
     tau = size * on.rng.uniform(0.2, 0.5)
     if on.body.kind == "rope":
         return Effect(replace(on.body, damping=on.body.damping + tau), parameters={"time_s": tau})
-    stiff = replace(on.body, bending=on.body.bending * 0.5)
-    return Effect(replace(stiff, crease=3 * tau), parameters={"time_s": tau, "share": 0.5})
+    return Effect(replace(on.body, crease=tau), parameters={"time_s": tau})
 
 
 @_effect(("rope",), ("twist", "circle"), most=1.5)

@@ -22,10 +22,10 @@ class Elements:
 
     @classmethod
     def of(cls, model) -> Elements:
-        """Those of the model's first flex."""
-        count = 3 if model.flex_dim[0] == 2 else 6
-        edges = model.flex_elemedge[: model.flex_elemnum[0] * count].reshape(-1, count)
-        upper = model.flex_stiffness[: _stored(model) * len(edges)].reshape(len(edges), -1)
+        """Those of the model's last flex: others over the same vertices come before it."""
+        count = 3 if model.flex_dim[-1] == 2 else 6
+        edges = model.flex_elemedge[-model.flex_elemnum[-1] * count :].reshape(-1, count) + model.flex_edgeadr[-1]
+        upper = model.flex_stiffness[-_stored(model) * len(edges) :].reshape(len(edges), -1)
         matrix = np.zeros((len(edges), count, count))
         i, j = np.triu_indices(count)
         matrix[:, i, j] = matrix[:, j, i] = upper[:, : len(i)]
@@ -35,7 +35,7 @@ class Elements:
         """Write ``matrix`` times ``factor`` (one, or one an element) into the model."""
         count = self.matrix.shape[1]
         i, j = np.triu_indices(count)
-        view = model.flex_stiffness[: _stored(model) * len(self.matrix)].reshape(len(self.matrix), -1)
+        view = model.flex_stiffness[-_stored(model) * len(self.matrix) :].reshape(len(self.matrix), -1)
         view[:, : len(i)] = np.reshape(factor, (-1, 1)) * self.matrix[:, i, j]
 
     def elongation(self, x: np.ndarray) -> np.ndarray:
@@ -66,4 +66,4 @@ class Elements:
 
 def _stored(model):
     """Numbers that MuJoCo keeps for an element, more than it needs."""
-    return {2: 21, 3: 24}[int(model.flex_dim[0])]
+    return {2: 21, 3: 24}[int(model.flex_dim[-1])]

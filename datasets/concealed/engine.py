@@ -166,8 +166,9 @@ class World(ElasticWorld):
         factor[elements] = 0
         self.elements.store(self.model, factor)
         if self.body.dim == 2:
-            edges = np.unique(self.model.flex_elemedge.reshape(len(self.body.elements), -1)[elements])
-            self.model.flex_bending.reshape(len(self.model.flex_edge), -1)[edges] = 0
+            shells = self.model.nflex
+            edges = np.unique(self.model.flex_elemedge.reshape(shells, len(self.body.elements), -1)[-1, elements])
+            self.model.flex_bending.reshape(shells, len(self.model.flex_edge) // shells, -1)[:, edges] = 0
 
     def stick(self, extra: float, speed: float) -> Step:
         """Friction that is higher at rest: on top of Coulomb's, ``extra`` exp(-(v / speed)^2) of the normal force, against v."""
@@ -191,7 +192,7 @@ class World(ElasticWorld):
         elements.store(model, 1.0 if body.stiffness is None else body.stiffness)
         self.elements = Elements.of(model)
         if body.dim == 2:
-            model.flex_bending[: len(model.flex_bending) // model.nflex] *= body.bending
+            model.flex_bending[:] *= body.bending / model.nflex  # a second shell bears half of it
             if body.resolved:
                 self._hem()
 
@@ -417,10 +418,12 @@ def _geom(obstacle):
 
 
 def _creases(body):
-    """A second shell over the same vertices that bends only: its damping is that of creases, not of stretch."""
+    """A second shell over the same vertices that bears half of the bending alone, damped so that all of it is by ``crease`` more."""
     if not body.crease:
         return ""
-    elastic = f'young="{body.young:.9g}" poisson="{body.poisson}" thickness="{body.thickness}" damping="{body.crease:.9g}"'
+    elastic = (
+        f'young="{body.young:.9g}" poisson="{body.poisson}" thickness="{body.thickness}" damping="{body.damping + 2 * body.crease:.9g}"'
+    )
     return _beside(body, "creases", f'{APART}<elasticity {elastic} elastic2d="bend"/>')
 
 

@@ -175,6 +175,25 @@ def test_fibres_along_any_axis_of_a_solid():
     np.testing.assert_allclose(np.einsum("ej,ej->e", rows, elongation), axis @ green @ axis, rtol=1e-8)
 
 
+def test_creases_are_damped_beside_a_sheet_that_stays_as_stiff():
+    """Bending of stiffness K in all and damping (t + crease) K, as ``finite.shells.Creases`` has it; stretch and fibres are the sheet's."""
+    body = replace(sheet(), bending=3.0, damping=0.01, fibre=(2e4, 0.0, 0.0))
+    plain, creased = (World(replace(body, crease=crease), FREE, Physics(), 32) for crease in (0.0, 0.04))
+    one, two = (w.model.flex_bending.reshape(w.model.nflex, -1).copy() for w in (plain, creased))
+    np.testing.assert_allclose(two.sum(0), one[0], rtol=1e-12)
+    np.testing.assert_allclose(creased.model.flex_damping @ two, (0.01 + 0.04) * one[0], rtol=1e-6)
+    np.testing.assert_array_equal(creased.elements.matrix, plain.elements.matrix)
+    assert np.abs(plain.elements.matrix).max() > 0
+    x = plain.start + 1e-3 * np.random.default_rng(0).normal(size=plain.start.shape)
+    forces = [w.elements.force(x, w.elements.elongation(x)) for w in (plain, creased)]
+    np.testing.assert_array_equal(*forces)
+    for world in (plain, creased):
+        world.cut(np.array([0]))
+    cut = creased.model.flex_bending.reshape(2, -1)
+    assert ((cut == 0).sum(1) > (two == 0).sum(1)).all()
+    np.testing.assert_allclose(cut.sum(0), plain.model.flex_bending, rtol=1e-12)
+
+
 def test_strain_stiffening_is_a_cubic_law():
     world, factor = World(sheet(), FREE, Physics(), 32), 80.0
     step = laws.stiffens(factor)(world)
