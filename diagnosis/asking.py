@@ -63,9 +63,10 @@ def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed:
         return settled(Continuum().fitted(observed, config_of_fit, seed=seed, device=device), recordings, config)
 
     twin = found(made)
-    if not twin.scene.body.settling or is_marked(recordings[0], config) or left(twin, recordings, config) < config.restless:
+    if not twin.scene.body.settling or is_marked(recordings[0], config) or (missed := left(twin, recordings, config)) < config.restless:
         return twin
-    return min((twin, found(replace(made, coarse=LARGER))), key=lambda one: left(one, recordings, config))
+    other = found(replace(made, coarse=LARGER))
+    return other if left(other, recordings, config) < missed else twin
 
 
 def _coarse(config: DiagnosisConfig, recordings: Sequence[Scenario]) -> Config:

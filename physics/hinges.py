@@ -73,13 +73,17 @@ class Ropes:
         overlap = weight[framed] * (kappa @ [1, 1j]) * (natural[framed] @ [1, -1j])
         total = np.zeros(self.chain.max(initial=-1) + 1, complex)
         np.add.at(total, self.chain[a], overlap)
-        roll = np.angle(total)[self.chain][:, None]
-        return np.cos(roll) * directors + np.sin(roll) * np.cross(t, directors)
+        return rolled(directors, t, np.angle(total)[self.chain])
 
 
 def unit(v):
     """(..., 3) at length 1."""
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), SHORT)
+
+
+def rolled(d, t, angle):
+    """(..., 3) directors ``d`` turned by ``angle`` (...) [rad] about unit tangents ``t``."""
+    return np.cos(angle)[..., None] * d + np.sin(angle)[..., None] * np.cross(t, d)
 
 
 def transport(d, t, u):

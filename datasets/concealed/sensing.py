@@ -169,8 +169,7 @@ def _skin(body, vertices, hands=()):
     """What can be seen of a body: vertices (T, S, 3) and faces, of a rope a tube around it. ``hands`` as for ``_across``."""
     if body.dim > 1:
         return vertices, body.faces
-    tangent = np.gradient(vertices, axis=1)
-    tangent /= np.linalg.norm(tangent, axis=2, keepdims=True)
+    tangent = _unit(np.gradient(vertices, axis=1))
     side = _across(vertices, tangent, hands)
     other = np.cross(tangent, side)
     angle = 2 * np.pi * np.arange(AROUND) / AROUND
@@ -190,22 +189,24 @@ def _across(vertices, tangent, hands):
     about itself: it turns with the hand that holds it, is without twist from there to its ends, and evenly twisted between two hands.
     """
     first, turns = hands[0] if hands else (0, np.broadcast_to(np.eye(3), (len(vertices), 3, 3)))
-    begin = turns @ np.cross(tangent[0, first], [0.3, 0.2, 1.0])
     side = np.zeros_like(tangent)
-    side[:, first] = _unit(begin - np.einsum("td,td->t", begin, tangent[:, first])[:, None] * tangent[:, first])
+    side[:, first] = _square_to(turns @ np.cross(tangent[0, first], [0.3, 0.2, 1.0]), tangent[:, first])
     for way in (1, -1):  # carried along without twist
         for i in range(first + way, vertices.shape[1] if way > 0 else -1, way):
-            before = side[:, i - way]
-            side[:, i] = _unit(before - np.einsum("td,td->t", before, tangent[:, i])[:, None] * tangent[:, i])
+            side[:, i] = _square_to(side[:, i - way], tangent[:, i])
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(vertices[0], axis=0), axis=1))])
     for held, turns in hands[1:]:
         own, along = turns @ side[0, held], tangent[:, held]
         sine, cosine = np.einsum("td,td->t", np.cross(side[:, held], own), along), np.einsum("td,td->t", side[:, held], own)
         angle = np.unwrap(np.arctan2(sine, cosine))
-        order = np.argsort([first, held])
-        twist = np.stack([np.interp(arc, arc[[first, held]][order], np.array([0.0, a])[order]) for a in angle])[..., None]
+        twist = (angle[:, None] * np.clip((arc - arc[first]) / (arc[held] - arc[first]), 0, 1))[..., None]
         side = np.cos(twist) * side + np.sin(twist) * np.cross(tangent, side)
     return side
+
+
+def _square_to(vectors, ways):
+    """(..., 3) ``vectors`` without what lies along unit ``ways``, at length 1."""
+    return _unit(vectors - np.einsum("...d,...d->...", vectors, ways)[..., None] * ways)
 
 
 def _unit(vectors):

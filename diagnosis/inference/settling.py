@@ -20,6 +20,7 @@ from ...methods.continuum.robust import StudentT
 from ...methods.continuum.twin import ContinuumTwin, posterior_of
 from ..config import DiagnosisConfig
 from .forward import Forward
+from .significance import left_of
 
 __all__ = ["left", "settled"]
 
@@ -29,7 +30,7 @@ def left(twin: ContinuumTwin, recordings: Sequence[Scenario], config: DiagnosisC
     forward = Forward.of(twin, recordings, config)
     fitted = forward.layout.fitted
     missed = forward.data - forward.reference()[1]
-    return float(np.linalg.norm(missed[fitted]) / max(np.linalg.norm(forward.motion[fitted]), 1e-9))
+    return float(np.exp(left_of(missed[fitted], forward.motion[fitted])))
 
 
 def settled(twin: ContinuumTwin, recordings: Sequence[Scenario], config: DiagnosisConfig) -> ContinuumTwin:

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from ...datasets.scenario import Observed
-from ...physics.hinges import Ropes, transport, unit
+from ...physics.hinges import Ropes, rolled, transport, unit
 from .hands import frames_of, groups_of, steadied
 
 __all__ = ["Rolling"]
@@ -86,33 +86,29 @@ class Rolling:
     def turned(self, ways, home) -> np.ndarray:
         """(T', S, 3, 3), how what is at each of S segments has turned since frame 0, in which they pointed along ``home`` (S, 3), while
         they point along ``ways`` (T', S, 3)."""
-        across = self._with_hands(ways, home)
-        before, after = (_axes(*pair) for pair in ((home, self._across(home)), (ways, across)))
-        found = after @ np.swapaxes(before, -1, -2)
-        return _rolled(found, ways, self._angles(found, ways))
+        start = _carried_along(home[None], 0, _beside(np.eye(3)[np.abs(home[0]).argmin()], home[0])[None])[0]  # without twist
+        across, before = self._with_hands(ways, start), np.swapaxes(_axes(home, start), -1, -2)
+        angles = self._angles(_axes(ways, across) @ before, ways)
+        return _axes(ways, rolled(across, ways, angles)) @ before
 
-    def _across(self, home):
-        """(S, 3) directions across segments that point along ``home`` (S, 3), without twist."""
-        least = np.eye(3)[np.abs(home[0]).argmin()]
-        return _carried_along(home[None], 0, unit(least - (least @ home[0]) * home[0])[None])[0]
-
-    def _with_hands(self, ways, home):
-        """(T', S, 3) those directions where hands alone turn the rope about itself; of one that nobody holds its middle turns least."""
-        across, count = self._across(home), len(home)
+    def _with_hands(self, ways, across):
+        """(T', S, 3) where directions ``across`` (S, 3) segments go if hands alone turn the rope about itself; of one that nobody holds its
+        middle turns least."""
+        count = len(across)
         at = np.minimum((self.held * count).astype(int), count - 1)
-        kept = np.minimum(np.arange(len(ways)), self.turns.shape[1] - 1) if len(at) else []
         if not len(at):
             found = [across[count // 2]]
             for before, now in pairwise(ways[:, count // 2]):
                 found.append(transport(found[-1][None], before[None], now[None])[0])
             return _carried_along(ways, count // 2, np.array(found))
+        kept = np.minimum(np.arange(len(ways)), self.turns.shape[1] - 1)
         own = [turns[kept] @ across[k] for k, turns in zip(at, self.turns, strict=True)]
         found, middles = _carried_along(ways, at[0], _beside(own[0], ways[:, at[0]])), np.arange(count)
         for k, turned in zip(at[1:], own[1:], strict=True):
             angle = np.unwrap(_angle(found[:, k], turned, ways[:, k]))
             if k != at[0]:
                 twist = angle[:, None] * np.clip((middles - at[0]) / (k - at[0]), 0, 1)
-                found = np.cos(twist)[..., None] * found + np.sin(twist)[..., None] * np.cross(ways, found)
+                found = rolled(found, ways, twist)
         return found
 
     def _angles(self, turned, ways):
@@ -159,14 +155,6 @@ def _carried_along(ways, first, start):
     for k in range(first - 1, -1, -1):
         found[:, k] = transport(found[:, k + 1], ways[:, k + 1], ways[:, k])
     return found
-
-
-def _rolled(turns, ways, angles):
-    """``turns`` (T, S, 3, 3) rolled on by ``angles`` (T, S) about ``ways`` (T, S, 3) (Rodrigues' formula)."""
-    along = np.swapaxes(turns, 2, 3) @ ways[..., None]
-    across = turns - ways[..., None] * np.swapaxes(along, 2, 3)
-    angle = angles[..., None, None]
-    return turns + (np.cos(angle) - 1) * across + np.sin(angle) * np.cross(ways[..., None], across, axis=2)
 
 
 def _window(recording, off, length, sides):

@@ -1,4 +1,4 @@
-"""How a filmed rope's skin rolls: against rotations that are known, and the engines' own skins."""
+"""How a filmed rope's skin rolls: against rotations that are known."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ AXIS = np.linspace([0.0, 0.0, -0.3], [LENGTH, 0.0, -0.3], 33)
 
 
 def skin():
-    """(N, 3) m on a straight rope, and (N,) where around it [rad]: those in the upper half, as a camera sees them."""
+    """(N, 3) m on a straight rope, in its upper half, as a camera sees it."""
     rng = np.random.default_rng(3)
     around = rng.uniform(-np.pi / 2, np.pi / 2, COUNT)
     along = rng.uniform(0.01, LENGTH - 0.01, COUNT)
