@@ -153,7 +153,9 @@ def test_areas_are_those_of_the_probabilities():
     others = [0.9] * 5 + [0.5] + [0.8] + [0.9] * 3
     assert counted()["detection, area under the curve"].value == pytest.approx(auroc(others, [0.4, 0.4, 0.4, 0.9, 0.7]))
     # the likeliest name: 0.8, 0.8, 0.8, 0.45, 0.3, 0 in the catalogue; 0.1 and 0.8 outside
-    assert counted()["catalogued against outside, area under the curve"].value == pytest.approx(auroc([0.8] * 3 + [0.45, 0.3, 0], [0.1, 0.8]))
+    assert counted()["catalogued against outside, area under the curve"].value == pytest.approx(
+        auroc([0.8] * 3 + [0.45, 0.3, 0], [0.1, 0.8])
+    )
 
 
 def test_the_floor_is_that_of_sound_bodies_of_the_same_kind():

@@ -318,7 +318,8 @@ def test_annotated_tracks(drag):
     assert all(mask[t][pixel[t, k, 1], pixel[t, k, 0]] for t, k in zip(*np.nonzero(shown), strict=True))
 
 
-def test_one_seed_one_recording():
+def test_one_seed_one_recording(monkeypatch):
+    monkeypatch.setattr("twinbench.datasets.synthetic.resolved.BLOCK", 0.045)  # larger cells, the same arithmetic
     drag, again = (generate("plush_drag", frames=4) for _ in range(2))
     other = generate("plush_drag", frames=4, seed=1, sensor=Sensor(oversample=1))
     for name in ("points", "visible", "controllers", "surface", "interior", "colors", "tracks"):
