@@ -82,7 +82,7 @@ def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
 
 
 def test_numbers_are_the_objects_own(twin, sound):
-    # eight times as stiff is one of the prior's standard deviations, which a refit of this recording alone takes up (p 0.13 so in 36 frames)
+    # eight times as stiff is one of the prior's standard deviations, which a refit of this recording alone takes up (p 0.13 in 36 frames)
     stiff = recording(20, bending_stiffness=8 * TRUE["bending_stiffness"])
     found = compared(twin, stiff, sound, CONFIG)
     assert found.forward.spread.max() < 0.5 and phases.tested(found, CONFIG).test.p < CONFIG.level

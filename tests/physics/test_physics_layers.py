@@ -300,6 +300,7 @@ def test_linked_rings_stay_linked():
     assert round(linking(*np.split(frames_of(bare, 0.5, 480)[-1], 2))) == 0
 
 
+@pytest.mark.slow
 def test_a_coil_is_pulled_open():
     # three turns of 6 cm lying on each other on a table, drawn up by an end at 0.6 m/s until they hang: between two looks nothing moves
     # as far as what is near is away, so that nothing has passed through anything
