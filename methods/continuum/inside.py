@@ -8,7 +8,7 @@ that a skin alone has an inside too.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -116,9 +116,10 @@ def inside_of(points, spacing: float, *, radius: float | None = None) -> Inside:
     """What ``points`` (M, 3) [m], ``spacing`` [m] apart, enclose.
 
     radius [m] of the ball; unless given a fifth more than the smallest one that leaves nearly all points at one connected inside.
+    What was told last is remembered: the cells of a search and of what follows it are cut from the same points.
     Raises ValueError where there are fewer than five points, or they lie in a plane or in a row.
     """
-    points = np.asarray(points, float)
+    points = np.ascontiguousarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise ValueError(f"the points of a body must be finite and have shape (M, 3), got shape {points.shape}")
     if len(points) < 5:
@@ -127,6 +128,12 @@ def inside_of(points, spacing: float, *, radius: float | None = None) -> Inside:
         raise ValueError(f"the spacing of a body's points must be > 0 [m], got {spacing}")
     if np.linalg.svd(points - points.mean(0), compute_uv=False)[2] < ASIDE * spacing * np.sqrt(len(points)):
         raise ValueError(f"the {len(points)} points of the body lie in a plane, so that they have no inside")
+    return _carved(points.tobytes(), float(spacing), radius)
+
+
+@lru_cache(maxsize=4)
+def _carved(content: bytes, spacing: float, radius: float | None) -> Inside:
+    points = np.frombuffer(content).reshape(-1, 3)
     carving = Carving(points + np.random.default_rng(0).uniform(-ASIDE, ASIDE, points.shape) * spacing)
     if radius is None:
         radius = MARGIN * float(next((r for r in spacing * RADII if carving.whole(r)), spacing * RADII[-1]))

@@ -67,7 +67,7 @@ def test_every_engine_lets_go_the_same_body_and_a_batch_is_its_bodies(engine, bo
         assert apart(several[0, -1], several[2, -1]) > 2e-4
 
 
-@pytest.mark.parametrize("body", [rope.THROWN, rope.CABLE], ids=["thrown", "cable"])
+@pytest.mark.parametrize("body", [pytest.param(rope.THROWN, id="thrown"), pytest.param(rope.CABLE, id="cable", marks=SLOW)])
 def test_engines_throw_a_rope_alike(body):
     # a twelfth of a second, 34 mm of free fall: weight and throw are the same in all; stretch and first order steps are below a millimetre
     ways = [rope.Rods().ready([body], Setting(ROPES, 200))()[0, 5], rope.Chain().ready([body], Setting(ROPES, 64))()[0, 5]]

@@ -111,7 +111,7 @@ def test_damaged_files_are_named(folder, kind, victim):
 PUBLISHED_COUNTS = {"DLO1": (13, 92), "DLO3": (12, 86)}
 
 
-@pytest.fixture(scope="module", params=PUBLISHED_COUNTS)
+@pytest.fixture(scope="module", params=["DLO1", pytest.param("DLO3", marks=pytest.mark.slow)])
 def published(request, recordings):
     return request.param, recordings / "data_set" / request.param
 

@@ -140,7 +140,7 @@ def test_damaged_files_are_named(tmp_path, kind):
         open_collection(path)
 
 
-@pytest.fixture(scope="module", params=["BDLO1", "BDLO1_mid_clamp"])
+@pytest.fixture(scope="module", params=["BDLO1", pytest.param("BDLO1_mid_clamp", marks=pytest.mark.slow)])
 def published(request, recordings):
     return request.param, recordings / "dataset" / request.param
 

@@ -79,23 +79,23 @@ class World:
 
 @pytest.fixture(scope="module")
 def controls():
-    """Tests of 120 sound recordings, each with members of its own."""
+    """Tests of 60 sound recordings, each with members of its own."""
     found = []
-    for seed in range(120):
+    for seed in range(60):
         world = World(seed, growth=1.0)
         found.append(world.asked(world.sound(1)[0] + world.noise()))
     return found
 
 
 def test_p_values_of_sound_recordings_are_uniform(controls):
-    # Kolmogorov and Smirnov's distance of 120 from the uniform distribution; both are p-values by themselves
+    # Kolmogorov and Smirnov's distance of 60 from the uniform distribution; both are p-values by themselves
     assert kstest([t.p_misfit for t in controls], "uniform").pvalue > 0.01
     assert kstest([t.p_scan for t in controls], "uniform").pvalue > 0.01
 
 
 def test_the_smaller_of_two_p_values_does_not_alarm_too_often(controls):
     # of 120 at a level of 10 %, more than binom.isf(0.001) would be no chance
-    assert sum(t.p < 0.1 for t in controls) <= binom.isf(1e-3, 120, 0.1)
+    assert sum(t.p < 0.1 for t in controls) <= binom.isf(1e-3, 60, 0.1)
 
 
 @pytest.mark.parametrize("candidates", [3, 40])

@@ -229,7 +229,8 @@ def test_its_fits_depend_on_the_code_and_the_numbers_of_the_diagnosis(tmp_path):
         shutil.copytree(package / room, tmp_path / room, ignore=shutil.ignore_patterns("__pycache__", "sample"))
 
     def codes():
-        return [Sources(tmp_path).files(*methods()[name].modules) for name in ("phystwin", "phystwin+diagnosed")]
+        sources = Sources(tmp_path)
+        return [sources.files(*methods()[name].modules) for name in ("phystwin", "phystwin+diagnosed")]
 
     before = codes()
     for file, more in {"screen.py": "\nLATER = 1\n", "calibration.json": "\n"}.items():

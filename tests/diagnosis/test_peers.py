@@ -21,7 +21,7 @@ from twinbench.methods.continuum.twin import ContinuumTwin
 from twinbench.physics.terms import HiddenTether, Wind
 
 TRUE = dict(bending_stiffness=0.02, bending_time=0.02, torsion_ratio=0.7, drag_damping=0.3)
-FRAMES, TRAIN, FPS, NOISE = 36, 26, 60.0, 2e-4
+FRAMES, TRAIN, FPS, NOISE = 24, 17, 60.0, 2e-4
 CONFIG = DiagnosisConfig(times=3, held_out=1, members=8, refitted=2, steps=6)
 
 
@@ -82,7 +82,7 @@ def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
 
 
 def test_numbers_are_the_objects_own(twin, sound):
-    # eight times as stiff is one of the prior's standard deviations, which a refit of this recording alone takes up (p 0.13 so, 0.014 now)
+    # eight times as stiff is one of the prior's standard deviations, which a refit of this recording alone takes up (p 0.13 in 36 frames)
     stiff = recording(20, bending_stiffness=8 * TRUE["bending_stiffness"])
     found = compared(twin, stiff, sound, CONFIG)
     assert found.forward.spread.max() < 0.5 and phases.tested(found, CONFIG).test.p < CONFIG.level
@@ -138,9 +138,9 @@ def test_what_cannot_be_compared_is_refused(twin, sound):
         ask([case, sound[3]], fitted_on=sound[:1], config=CONFIG)
     with pytest.raises(ValueError, match="at least 3 markers seen in frame 0 that no hand drives, got 2"):
         ask([replace(case, grips=np.arange(7), controllers=case.points[:, :7])], fitted_on=sound, config=CONFIG)
-    first = {name: getattr(sound[0], name)[:30] for name in ("points", "visible", "motion_valid", "controllers")}
-    short = replace(sound[0], **first, split=Split(20, 30))
-    with pytest.raises(ValueError, match=r"as long as the one that it is compared with, 36 frames, got 30 \(scenario swing0\)"):
+    first = {name: getattr(sound[0], name)[:20] for name in ("points", "visible", "motion_valid", "controllers")}
+    short = replace(sound[0], **first, split=Split(14, 20))
+    with pytest.raises(ValueError, match=r"as long as the one that it is compared with, 24 frames, got 20 \(scenario swing0\)"):
         compared(twin, case, [short, *sound[1:]], CONFIG)
 
 

@@ -82,7 +82,8 @@ def nats(fits):
     ("pair", "path"),
     [
         ((QuadraticDrag, PlateDrag), gentle([0, 1, 0], 0.02, 1.2)),  # face-on at one speed: both only slow it
-        ((GravityTilt, Wind), gentle([1, 0.5, 0], 0.005, 2.0)),  # nearly at rest: both only lean it
+        # nearly at rest: both only lean it
+        pytest.param((GravityTilt, Wind), gentle([1, 0.5, 0], 0.005, 2.0), marks=pytest.mark.slow),
     ],
     ids=["drags", "leans"],
 )

@@ -116,12 +116,11 @@ def test_the_snippets_run(python, copy):
 
 
 def test_the_term_is_a_hypothesis_of_the_diagnosis(python):
-    script = "from twinbench.diagnosis.hypotheses import catalogue as c; print([t.effect.name for t in c() if t.name == 'cubic_drag'])"
-    assert python("-c", script).strip() == "['plate_drag']"
     script = (
+        "from twinbench.diagnosis.hypotheses import catalogue as c; print([t.effect.name for t in c() if t.name == 'cubic_drag']); "
         "from twinbench.diagnosis.springs import NAMES; from twinbench.diagnosis.page.words import EFFECTS; assert {*NAMES} <= {*EFFECTS}"
     )
-    python("-c", script)
+    assert python("-c", script).strip() == "['plate_drag']"
 
 
 def test_the_tests_of_an_example_can_fail(python, copy):

@@ -11,12 +11,13 @@ from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 from twinbench.benchmark import commands
 from twinbench.benchmark.cli import GROUPS
 from twinbench.benchmark.plan import TASKS
-from twinbench.benchmark.results import read_results
-from twinbench.benchmark.table import blocks
+from twinbench.benchmark.results import Results, read_results
+from twinbench.benchmark.table import blocks, terminal
 from twinbench.methods.registry import methods
 from twinbench.metrics.base import metrics
 
@@ -163,16 +164,22 @@ def test_the_example_runs_with_phystwin(tmp_path):
     subprocess.run([sys.executable, "-c", source], capture_output=True, cwd=tmp_path, check=True)
 
 
-@pytest.fixture(scope="module")
-def printed_again(tmp_path_factory):
+def run_again(folder, scored):
     """What the first command prints, with the baselines only: their figures take little time and hardly depend on the machine."""
-    folder = tmp_path_factory.mktemp("run")
     environment = os.environ | {"TWINBENCH_CACHE": str(folder / "cache")}
     script = "import sys; from twinbench.benchmark.cli import main; sys.exit(main())"
-    scored = [name for name in metrics() if not name.startswith("lpips")]  # which need a download, and are not in the table that is shown
     options = ["run", "--methods", "static", "rigid", "--metrics", *scored]
-    done = subprocess.run([sys.executable, "-c", script, *options], capture_output=True, text=True, cwd=folder, env=environment, check=True)
-    return done.stdout, folder
+    return subprocess.run([sys.executable, "-c", script, *options], capture_output=True, text=True, cwd=folder, env=environment, check=True)
+
+
+LENGTHS = [name for name, metric in metrics().items() if metric.unit == "m"]
+
+
+@pytest.fixture(scope="module")
+def printed_again(tmp_path_factory):
+    """The lengths alone, which need no appearance of the body: a minute and a half of a core less."""
+    folder = tmp_path_factory.mktemp("run")
+    return run_again(folder, LENGTHS).stdout, folder
 
 
 def figures(text):
@@ -186,21 +193,50 @@ def figures(text):
     return found
 
 
-def test_the_table_is_what_the_command_prints(printed_again):
+def test_the_lengths_in_the_table_are_what_the_command_prints(printed_again):
     here, there = figures(TABLE), figures(printed_again[0])
     assert set(here) == {(task, method) for task in TASKS for method in ("static", "rigid", "phystwin")}
-    lengths = sum(metric.unit == "m" for metric in metrics().values())
+    assert set(there) == {(task, method) for task in TASKS for method in ("static", "rigid")}
     for key, printed in there.items():
-        assert here[key][:lengths] == printed[:lengths]
+        assert here[key][: len(LENGTHS)] == printed[: len(LENGTHS)]
+
+
+def spaced(line):
+    named = line.replace(" config.toml,", "")  # docs/clusters.md has it
+    return re.sub(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d", "WHEN", " ".join(named.split()))
+
+
+def test_the_table_is_in_the_format_that_is_printed(printed_again):
+    # its own figures, as rows of two recordings each, printed anew: the same text to the last character, but for where it was written
+    rows, names = [], [name for name in metrics() if not name.startswith("lpips")]
+    shown = [name for name in names if name not in ("iou_corrected", "psnr_corrected")]
+    for (task, method), values in figures(TABLE).items():
+        *values, _count = values
+        seconds = float(re.search(rf"^{method} .* (\S+)$", TABLE, re.M)[1])
+        assert len(values) == len(shown)
+        row = dict(zip(shown, [float(v.replace("-", "nan")) for v in values], strict=True))
+        row = {name: v / 1e3 if metrics()[name].unit == "m" else v for name, v in row.items()}
+        row |= {f"{name}_corrected": row[name] for name in ("iou", "psnr")} | {f"{name}_unscorable": 0 for name in names}
+        row |= {f"{name}_reason": "the twin's particles are not the recording's points" for name in names if np.isnan(row[name])}
+        about = {"collection": "sample", "task": task, "method": method, "status": "ok", "seed": 0, "fit_seconds": seconds, "frames": 9}
+        rows += [row | about | {"scenario": scenario, "sources": scenario} for scenario in ("plush_drag", "plush_lift")]
+    again = terminal(Results.of(rows, {name: metrics()[name] for name in names}, []))
+    assert TABLE.splitlines()[:-1] == [*again.splitlines(), ""]
+    assert spaced(TABLE.splitlines()[-1]) == spaced(printed_again[0].splitlines()[-1])
+
+
+@pytest.mark.slow
+def test_the_table_is_what_the_command_prints(tmp_path):
+    scored = [name for name in metrics() if not name.startswith("lpips")]  # which need a download, and are not in the table that is shown
+    again = run_again(tmp_path, scored).stdout
+    here, there = figures(TABLE), figures(again)
+    for key, printed in there.items():
+        assert here[key][: len(LENGTHS)] == printed[: len(LENGTHS)]
         # the appearance comes from some hundred steps in single precision, which machines round in their own way
-        assert list(map(float, here[key][lengths:])) == pytest.approx(list(map(float, printed[lengths:])), rel=0.03)
+        assert list(map(float, here[key][len(LENGTHS) :])) == pytest.approx(list(map(float, printed[len(LENGTHS) :])), rel=0.03)
     assert there
 
-    def spaced(line):
-        named = line.replace(" config.toml,", "")  # docs/clusters.md has it
-        return re.sub(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d", "WHEN", " ".join(named.split()))
-
-    words = {spaced(line) for line in printed_again[0].splitlines()}
+    words = {spaced(line) for line in again.splitlines()}
     for line in TABLE.splitlines():
         if not re.match(r"(phystwin|rigid|static) |-{9}|sample: no ", line):  # captions, names of columns, legend
             assert spaced(line) in words

@@ -185,11 +185,16 @@ def test_ssim_needs_room_for_a_window_unless_zeros_surround_it():
 # --- LPIPS
 
 
-@pytest.fixture
-def random_backbone(monkeypatch, tmp_path):
-    """LPIPS as it is loaded, but on an AlexNet of random weights, which need no download."""
+@pytest.fixture(scope="module")
+def random_network():
     torch.manual_seed(7)
-    network = perceptual._network(pnet_rand=True)
+    return perceptual._network(pnet_rand=True)
+
+
+@pytest.fixture
+def random_backbone(monkeypatch, tmp_path, random_network):
+    """LPIPS as it is loaded, but on an AlexNet of random weights, which need no download."""
+    network = random_network
     weights = tmp_path / "hub" / "checkpoints" / "alexnet-owt-7be5be79.pth"
     weights.parent.mkdir(parents=True)
     weights.touch()

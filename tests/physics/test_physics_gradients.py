@@ -2,6 +2,7 @@
 
 import gc
 import weakref
+from functools import cache
 
 import numpy as np
 import pytest
@@ -47,15 +48,22 @@ OF_SOLIDS = ("cell_memory", "load", "held", "anchor")  # see test_physics_materi
 HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
 
 
+@cache
+def differentiated(kinds, grip):
+    """A batch, and its inputs with their gradients."""
+    batch = batch_of(kinds, grip=grip)
+    inputs = leaves(batch)
+    loss(batch, inputs).backward()
+    return batch, inputs
+
+
 @pytest.mark.parametrize("name", [n for n in NAMES if n != "table"])
 @pytest.mark.parametrize("grip", [True, False], ids=["grip", "no grip"])
 @every_kind
 def test_gradient_of_every_input(kinds, grip, name):
     if (name in HINGED and Bending not in kinds) or name in OF_SOLIDS:
         pytest.skip("nothing reads it")
-    batch = batch_of(kinds, grip=grip)
-    inputs = leaves(batch)
-    loss(batch, inputs).backward()
+    batch, inputs = differentiated(kinds, grip)
     gradient = getattr(inputs, name).grad
     assert (gradient.abs().max() > 0) == (name != "memory" or batch.remembering)
     check(batch, inputs, name, some(gradient))

@@ -1,6 +1,7 @@
 """Twins stepped frame by frame do what their roll-outs do; states can be kept and set again; parameters act as physics says."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,15 @@ from twinbench.methods.registry import methods
 from twinbench.methods.rigid import RigidTwin
 
 SUBJECTS = {name: Subject(found) for name, found in sorted(methods().items())}
+
+
+@cache
+def fitted(name):
+    """The twin of the made recording; one that builds on another is fitted from there, as in a run."""
+    below = methods()[name].builds_on
+    return SUBJECTS[name].fit(MADE, start=fitted(below)) if below else SUBJECTS[name].fitted
+
+
 MADE = recording()
 
 
@@ -30,7 +40,7 @@ def stepped(live, path):
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_steps_along_a_path_are_the_roll_out_along_it_to_the_last_bit(name):
     try:
-        twin = SUBJECTS[name].fitted
+        twin = fitted(name)
     except Skipped as reason:
         pytest.skip(str(reason))
     path = MADE.controllers
@@ -49,7 +59,7 @@ def test_steps_along_a_path_are_the_roll_out_along_it_to_the_last_bit(name):
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_a_state_that_is_set_again_goes_on_as_before(name):
     try:
-        twin = SUBJECTS[name].fitted
+        twin = fitted(name)
     except Skipped as reason:
         pytest.skip(str(reason))
     live = live_of(twin, path=MADE.controllers, fps=MADE.fps)

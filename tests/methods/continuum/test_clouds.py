@@ -152,7 +152,7 @@ def test_clouds_tell_no_velocity():
 TRUE = dict(plate_rigidity=6e-5, membrane_stiffness=40.0)
 RATE = 30.0  # Hz, while 24 is said
 SAID = 24.0
-CONFIG = Config(starts=1, iterations=8, refinement=0, coarse=1.0, members=0, grips=False)
+CONFIG = Config(starts=1, iterations=5, refinement=0, coarse=1.0, members=0, grips=False)
 
 
 @pytest.fixture(scope="module")
