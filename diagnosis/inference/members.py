@@ -123,7 +123,7 @@ def scene_of(member: Member, scene: Scene, recording: Observed, config: Diagnosi
         kept += [group[0], *(c for c in group[1:] if random.random() >= config.dropped)]
     kept = np.sort(kept)
     fewer = replace(recording, controllers=recording.controllers[:, kept], grips=recording.grips[kept])
-    other = Scene.of(fewer, body, speeds=scene.speeds, contact=scene.contact)
+    other = Scene.of(fewer, body, speeds=scene.speeds, still=scene.still, contact=scene.contact)
     return other if len(other.hands) == len(scene.hands) else replace(scene, body=body)
 
 

@@ -43,6 +43,7 @@ class Body(ABC):
     iterations: int = 8  # of the search, at most
     coarse: float = 1.5  # times as large as usual, the cells of the search
     stride: float = 0.5  # of the longest step that is stable near rest, its steps
+    bears: bool = False  # whether its own stiffness alone holds what pulls at it: ``laden`` is then another body
     settling: int = 0  # steps, at most, by which a diagnosis fits its twin to the very means that it tests (``inference.settling``)
     structure: np.ndarray
     surface: np.ndarray
@@ -161,6 +162,13 @@ class Body(ABC):
 
     def under(self, values: dict[str, float]) -> Body:
         """The same body in frame 0 if it is of complete ``values``, on which the way from its rest shape to frame 0 may depend."""
+        return self
+
+    def laden(self, shift: np.ndarray, values: dict[str, float]) -> Body:
+        """The same of which frame 0 is an equilibrium under what moves its nodes by ``shift`` (N, 3) m at complete ``values``.
+
+        Of what is held in shape by its tension, or rests as it lies, frame 0 says nothing of the kind: it stays what it is.
+        """
         return self
 
     def unloaded(self, recording: Observed, values: dict[str, float], settle: Callable[[Body], np.ndarray]) -> Body:

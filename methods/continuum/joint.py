@@ -11,7 +11,7 @@ from ..base import spread_evenly
 from .bodies import Body, bodies_of
 from .config import Config
 from .scene import Scene
-from .start import starts_at_rest
+from .start import lies_still, starts_at_rest
 from .windows import can_begin_anywhere, window
 
 __all__ = ["placed", "scenes_of"]
@@ -41,7 +41,7 @@ def placed(recording: Observed, body: Body, config: Config, seen: Observed | Non
     found = starts_at_rest(seen) if config.start == "auto" else None
     contact = meets_itself(body, config)
     if config.start == "rest" or (found and found.rest):
-        return Scene.of(recording, body, contact=contact)
+        return Scene.of(recording, body, still=lies_still(seen), contact=contact)
     why = f": {found.words}" if found else ""
     return Scene.of(
         recording, body, speeds=body.speeds(seen), contact=contact, notes=(f"its start velocity is told by its first frames{why}",)

@@ -40,6 +40,7 @@ class Scene:
     gravity    (3,) m/s^2; ground or None; fps, and whether that was recorded (``timed``)
     counts     of tracked, surface and interior structure points
     speeds     of the body in frame 0, or None: at rest
+    still      whether frame 0 is an equilibrium (``start.lies_still``): what pulls at the body pulled at it before
     contact    whether layers or strands of the body meet
     """
 
@@ -57,12 +58,21 @@ class Scene:
     contact: bool = False
     notes: tuple[str, ...] = ()
     timed: bool = True
+    still: bool = False
 
     @classmethod
     def of(
-        cls, recording: Observed, body: Body, *, speeds: Speeds | None = None, contact: bool = False, notes: tuple[str, ...] = ()
+        cls,
+        recording: Observed,
+        body: Body,
+        *,
+        speeds: Speeds | None = None,
+        still: bool = False,
+        contact: bool = False,
+        notes: tuple[str, ...] = (),
     ) -> Scene:
-        """The scene of a recording and its body, which moves at ``speeds`` in frame 0, or is at rest, and with ``contact`` meets itself.
+        """The scene of a recording and its body, which moves at ``speeds`` in frame 0, or is at rest, ``still`` if it is so in
+        equilibrium, and with ``contact`` meets itself.
 
         notes  more than its body and hands say. Raises ValueError where a hand holds nothing though it comes near the body.
         """
@@ -72,7 +82,7 @@ class Scene:
             counts=recording.counts, controllers=recording.controllers, grips=recording.grips, gravity=recording.gravity
         )
         known |= dict(ground=_below(recording.ground, body), fps=recording.fps)
-        known |= dict(speeds=speeds, contact=contact, timed=recording.timed)
+        known |= dict(speeds=speeds, still=still, contact=contact, timed=recording.timed)
         notes = (*body.notes, *notes, *(n for hand in hands for n in hand.notes))
         return cls(recording.name, body, hands=hands, radius=radius, notes=notes, **known)
 

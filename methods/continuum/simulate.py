@@ -17,6 +17,7 @@ from ...physics.stability import stable_rounds, stable_substeps
 from ...physics.system import FILLED, System
 from ...physics.terms import CoulombGround, Gravity, LayerContact, SoftGrip
 from ...physics.terms.base import Term
+from .bodies import Body
 from .scene import SAME, Scene
 from .unknowns import rounded_up
 from .unloaded import SAID
@@ -85,13 +86,35 @@ class Simulator:
         if (rates != self.scene.fps).any():
             return self._timed(values, rates, frames, controllers)
         values = [self._complete(v) for v in values]
-        bodies = [self.scene.body.under(v) for v in values]
-        if any(body is not self.scene.body for body in bodies):  # frame 0 is under another strain in each
-            pairs = enumerate(zip(bodies, values, strict=True))
-            alone = (self._of(body, self._known_steps).run([one], frames, _of_runs(controllers, [k])) for k, (body, one) in pairs)
-            return np.concatenate(list(alone))
+        bodies = [self._body(v) for v in values]
+        if all(body is self.scene.body for body in bodies):
+            return self._alike(values, frames, controllers)
+        found = np.full((len(values), frames, *self.scene.structure.shape), np.nan)
+        for k, (body, one) in enumerate(zip(bodies, values, strict=True)):  # frame 0 is under another strain in each
+            if body is not None:
+                found[k] = self._of(body, self._known_steps)._alike([one], frames, _of_runs(controllers, [k]))[0]
+        return found
+
+    def _alike(self, values, frames, controllers) -> np.ndarray:
+        """(B, frames, M, 3) m, runs of the scene's body as it is, of complete ``values``."""
         paths = self._nodes(values, frames, controllers)
         return np.stack([self._observed(path, self._is_recorded(controllers, k)) for k, path in enumerate(paths)])
+
+    def _body(self, values) -> Body | None:
+        """The body in frame 0 under complete ``values``; None where it would not lie there.
+
+        Where frame 0 is an equilibrium, it is one under what further terms say pulls at the body: how far that moves it, once with the
+        pull and once without, is how far its rest shape is from frame 0 beside what gravity makes of it.
+        """
+        body = self.scene.body.under(values)
+        pulls = {name: 0.0 for term in self.extra for name in term.loads if values[name]}
+        if not (pulls and self.scene.still and body.bears):
+            return body
+        there = self._of(body, self._known_steps)
+        try:
+            return body.laden(there.settle(values) - there.settle(values | pulls), values)
+        except ValueError:  # it does not come to rest
+            return None
 
     def penetrations(self, values, frames: int) -> Penetrations:
         """How far layers or strands went into each other in a run."""
@@ -99,7 +122,7 @@ class Simulator:
         if rate != self.scene.fps:
             return replace(self, scene=replace(self.scene, fps=rate)).penetrations(values, frames)
         one = self._complete(values)
-        other = self._of(self.scene.body.under(one), self._known_steps)
+        other = self._of(self._body(one) or self.scene.body, self._known_steps)
         return penetrations(self.system, other._nodes([one], frames)[0].double().cpu().numpy(), self.scene.body.thickness)
 
     def _nodes(self, values, frames, controllers=None):
@@ -137,7 +160,7 @@ class Simulator:
     def under(self, values) -> tuple[Simulator, dict[str, float]]:
         """(the simulator of the body under ``values`` at their frame rate, complete values): what ``run`` runs them by."""
         rate, one = values.get("frame_rate", self.scene.fps), self._complete(values)
-        other = self._of(self.scene.body.under(one), self._known_steps)
+        other = self._of(self._body(one) or self.scene.body, self._known_steps)
         if rate != self.scene.fps:
             other = replace(other, scene=replace(other.scene, fps=float(rate)))
             vars(other).update(system=self.system, _known_steps={}, _rate_of_steps=_no_faster(rate))

@@ -55,6 +55,7 @@ class Solid(Body):
     """
 
     kind = "solid"
+    bears = True
     nuisances = ("poisson", "drag_damping", "damping_time")
 
     grid: Grid
@@ -132,6 +133,10 @@ class Solid(Body):
         home = self.grid.positions
         nodes = home + (self.equilibrium.nodes - home) * (self.equilibrium.modulus / modulus)
         return replace(self, equilibrium=Equilibrium(nodes, modulus))
+
+    def laden(self, shift, values) -> Solid:
+        """Its rest shape is that of frame 0 moved back by ``shift``, and its cells those of frame 0: both are alike where it is small."""
+        return replace(self, equilibrium=Equilibrium(self.positions + shift, values["youngs_modulus"]))
 
     def unloaded(self, recording, values, settle) -> Solid:
         """Solved from frame 0 on, whatever rest shape it has."""

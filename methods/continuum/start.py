@@ -8,7 +8,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed
 
-__all__ = ["Speeds", "Start", "seen_velocity", "start_velocity", "starts_at_rest"]
+__all__ = ["Speeds", "Start", "lies_still", "seen_velocity", "start_velocity", "starts_at_rest"]
 
 FIRST = 3  # frames that tell whether the first is a rest
 SLOW = 0.02  # m/s: slower is rest whatever the noise; it is 0.7 mm a frame at 30 frames a second
@@ -62,9 +62,7 @@ def starts_at_rest(recording: Observed) -> Start:
         return Start(True, 0.0, float("inf"), 0.0, "clouds, whose points do not correspond, say nothing; rest is assumed")
     if recording.observed_frames < FIRST:
         return Start(True, 0.0, float("inf"), 0.0, f"fewer than {FIRST} frames were observed and say nothing; rest is assumed")
-    seen = np.asarray(recording.visible[:FIRST].all(0))
-    driven = np.isin(np.arange(len(seen)), recording.grips)
-    seen = seen & ~driven if (seen & ~driven).any() else seen
+    seen = _seen_first(recording)
     if not seen.any():
         return Start(True, 0.0, float("inf"), 0.0, f"no track was seen in all of the first {FIRST} frames; rest is assumed")
     home = recording.points[0, seen]
@@ -78,6 +76,29 @@ def starts_at_rest(recording: Observed) -> Start:
         f"from frame 1 to 2"
     )
     return Start(bool(rest), speed, error, later, words)
+
+
+def lies_still(recording: Observed) -> bool:
+    """Whether frame 0 is an equilibrium: what moves from there on moves no farther than a hand does.
+
+    A body that is let go sets off while hands stay where they are, and so does one that a hand threw. Where nothing says so, as of clouds,
+    or of fewer than three frames, it is taken for one.
+    """
+    seen = _seen_first(recording)
+    if not recording.correspond or recording.observed_frames < FIRST or not seen.any():
+        return True
+    home = recording.points[0, seen]
+    gone = _rms(_field(home, recording.points[FIRST - 1, seen] - home, home, rounds=1))
+    error = _noise(recording.points[:, seen], recording.visible[:, seen]) * np.sqrt(2 * _columns(len(home)) / len(home))
+    led = np.linalg.norm(recording.controllers[FIRST - 1] - recording.controllers[0], axis=1).max(initial=0.0)
+    return bool(gone < max(SLOW * (FIRST - 1) / recording.fps, SURE * error, led))
+
+
+def _seen_first(recording: Observed) -> np.ndarray:
+    """(N,) bool, the tracks that were seen in all of the first frames, those that nobody drives if there are any."""
+    seen = np.asarray(recording.visible[:FIRST].all(0))
+    free = seen & ~np.isin(np.arange(len(seen)), recording.grips)
+    return free if free.any() else seen
 
 
 def start_velocity(recording: Observed) -> np.ndarray:

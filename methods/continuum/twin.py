@@ -147,7 +147,7 @@ class ContinuumTwin(Twin):
             arrays |= {f"speeds_{f.name}": np.array(getattr(scene.speeds, f.name)) for f in fields(Speeds)}
         for k, hand in enumerate(scene.hands):
             arrays |= {f"hand{k}_{f.name}": getattr(hand, f.name) for f in fields(Hand) if f.name not in ("turns", "notes")}
-        state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "timed", "notes")}
+        state = {name: getattr(scene, name) for name in ("name", "counts", "radius", "fps", "timed", "still", "notes")}
         state |= dict(contact=scene.contact, kind=scene.body.kind, elements=scene.body.elements, body_notes=scene.body.notes)
         state |= dict(turns=[h.turns for h in scene.hands], hand_notes=[h.notes for h in scene.hands])
         state |= dict(ground=None if scene.ground is None else [*scene.ground.normal.tolist(), scene.ground.offset])
@@ -169,6 +169,7 @@ class ContinuumTwin(Twin):
         speeds: dict[str, Any] = {f.name: arrays[f"speeds_{f.name}"] for f in fields(Speeds) if f"speeds_{f.name}" in arrays}
         known |= dict(speeds=Speeds(**speeds) if speeds else None)
         known |= {name: state[name] for name in ("name", "radius", "fps", "timed", "contact")}
+        known |= dict(still=state.get("still", False))  # of twins that were kept before nothing says so
         scene = Scene(body=body, hands=tuple(hands), ground=ground, counts=tuple(state["counts"]), notes=tuple(state["notes"]), **known)
         extra = tuple(getattr(terms, name)(values) for name, values in state["extra"].items())
         return cls(scene, state["values"], extra, state["posterior"], state["device"], state.get("unlisted", 0))

@@ -21,6 +21,7 @@ class AddedMass(SetupTerm):
         Parameter("added_mass", 0.0, 0.0, 10.0, "of the body's mass", "mass that is added in all"),
         *near("added_mass", "added_mass_within"),
     )
+    loads = ("added_mass",)
     effect = Effect(
         "added_mass",
         "one part of the body is heavier",

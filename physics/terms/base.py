@@ -59,6 +59,7 @@ class Term(ABC):
     stage: ClassVar[str]  # one of ``stages.STAGES``
     given: ClassVar[tuple[str, ...]] = ()  # the arguments of the stage's laws
     parameters: ClassVar[tuple[Parameter, ...]] = ()
+    loads: ClassVar[tuple[str, ...]] = ()  # parameters that are 0 where it does not pull at a body at rest
     effect: ClassVar[Effect | None] = None
 
     @classmethod

@@ -48,6 +48,7 @@ class GravityTilt(BodyTerm):
         *(Parameter(f"told_gravity_{axis}", 0.0, -30.0, 30.0, "m/s^2", f"gravity as it is told, along {axis}") for axis in "xyz"),
     )
     law = lean
+    loads = ("tilt_x", "tilt_y", "tilt_z")
     effect = Effect(
         "gravity_tilt",
         "gravity points another way than the recording says",

@@ -38,6 +38,7 @@ class HiddenTether(BodyTerm):
         Parameter("tether_length", 1e-3, 1e-4, 10.0, "m", "distance up to which the tether is slack", "log"),
     )
     law = tug
+    loads = ("hidden_tether",)
     effect = Effect(
         "hidden_tether",
         "something ties a part of the body to a fixed point",

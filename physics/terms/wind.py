@@ -40,6 +40,7 @@ class Wind(BodyTerm):
         Parameter("wind_speed", 3.0, 0.2, 50.0, "m/s", "speed of the air", "log"),
     )
     law = blow
+    loads = ("wind_x", "wind_y", "wind_z")
     effect = Effect(
         "wind",
         "the air moves",

@@ -1,9 +1,11 @@
 """How a recording starts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from twinbench.datasets.scenario import Observed
-from twinbench.methods.continuum.start import start_velocity, starts_at_rest
+from twinbench.methods.continuum.start import lies_still, start_velocity, starts_at_rest
 
 
 def cloud(speeds, *, count=200, noise=0.0, field=None, seed=0, fps=30.0):
@@ -33,6 +35,17 @@ def test_rest_is_told_from_motion(rest, speeds):
     assert start.error == pytest.approx(0.0104, rel=0.2) and abs(start.speed - speeds[0]) < 4 * start.error
 
 
+@pytest.mark.parametrize("hand", [0.0, 0.5, 3.0])
+def test_what_is_let_go_did_not_lie_still(hand):
+    # a fall: 3.3 mm to frame 1 and 13 to frame 2, where a hand, if there is one, moved by so many times as much
+    fall = [0.1 * (2 * k + 1) for k in range(10)]
+    gone = 0.1 / 30 * np.arange(11)[:, None, None] ** 2 * [hand, 0, 0]
+    hands = dict(controllers=np.repeat(gone, 4, 1), grips=np.full(4, -1))
+    made = replace(cloud(fall, noise=1e-3), **hands)
+    assert starts_at_rest(made).rest and lies_still(made) == (hand > 1)
+    assert lies_still(replace(cloud([0.0] * 10, noise=1e-3), **hands))  # what a hand does not move yet
+
+
 def test_too_few_frames_are_taken_for_a_rest():
     start = starts_at_rest(cloud([0.5]))
     assert start.rest and "rest is assumed" in start.words
@@ -48,8 +61,6 @@ def test_noise_and_wrong_tracks_hardly_enter():
     made = cloud([0.3, 0.3], noise=1e-3, count=400)
     points = made.points.copy()
     points[1, :20] += 0.05  # 5 % that jump by 5 cm, 1.5 m/s in each axis
-    from dataclasses import replace
-
     found = start_velocity(replace(made, points=points))
     # 7.3 mm/s from noise (as above); the jumps would add 75 mm/s were they trusted
     assert np.sqrt(np.mean(np.sum((found - [0.3, 0, 0]) ** 2, axis=1))) < 0.03

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed
 from twinbench.methods.continuum import Continuum
 from twinbench.methods.continuum.body import body_of
@@ -11,8 +12,9 @@ from twinbench.methods.continuum.config import DENSITY, Config
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.solids import Solid
-from twinbench.methods.continuum.start import Speeds
+from twinbench.methods.continuum.start import Speeds, lies_still
 from twinbench.methods.continuum.twin import ContinuumTwin
+from twinbench.physics.terms import GravityTilt
 
 LENGTH, THICK, FPS, YOUNG = 0.15, 0.03, 60.0, 1e5
 PITCH = 0.0301  # m: five cells, one layer, which bends right (results/continuum.md)
@@ -127,6 +129,43 @@ def test_what_cannot_carry_itself_or_moves_is_said(hanging):
     assert any("since it moves there" in note for note in Simulator(moving).unloaded(recording, SOFT).notes)
     with pytest.raises(ValueError, match="rest must be one of as it lies, equilibrium, got 'straight'"):
         Config(rest="straight")
+
+
+@pytest.fixture(scope="module")
+def pulled():
+    """(recording of a bar in no gravity that stays where a pull of 3 m/s^2 along y holds it, the simulator of its frame 0, the pull)."""
+    pull = dict(tilt_y=3.0)
+    straight = replace(held(np.repeat(lattice()[None], 3, 0)), gravity=np.zeros(3))
+    scene = as_it_lies(straight)
+    bent = scene.body.followed(Simulator(scene, (GravityTilt(),)).settle(SOFT | pull)[None])[0]
+    recording = replace(held(np.repeat(bent[None], 40, 0)), gravity=np.zeros(3))
+    return recording, Simulator(replace(as_it_lies(recording), still=lies_still(recording)), (GravityTilt(),)), pull
+
+
+def test_what_lay_still_under_a_pull_stays_there(pulled):
+    # statics: an equilibrium is one under all that pulls. Cells of a bent bar are those of frame 0, where it is straight at rest
+    recording, runner, pull = pulled
+    far = tip(recording.points[0] - lattice())[1]
+    assert far > 0.001
+    stays = np.abs(tip(runner.run([SOFT | pull], 15)[0] - recording.points[0])).max()
+    falls = np.abs(tip(replace(runner, scene=replace(runner.scene, still=False)).run([SOFT | pull], 15)[0] - recording.points[0])).max()
+    assert stays < 0.03 * far and falls > far  # as it lies, it would be pulled as far again, and swing
+    both = runner.run([SOFT, SOFT | pull], 15)
+    assert np.abs(both[0] - recording.points[0]).max() < 1e-6 and np.abs(tip(both[1] - recording.points[0])).max() == pytest.approx(
+        stays, rel=1e-3
+    )
+
+
+def test_a_pull_that_was_there_before_shows_where_the_body_turns(pulled):
+    # turned over about its axis, a bar that is straight at rest ends bent the way of the pull; one that is bent at rest, the other way
+    recording, runner, pull = pulled
+    middle, half = np.array([0, THICK / 2, THICK / 2]), np.pi * np.clip(np.arange(40) / 24, 0, 1)
+    turned = [Rotation.from_rotvec([a, 0, 0]).apply(recording.controllers[0] - middle) + middle for a in half]
+    far = tip(recording.points[0] - lattice())[1]
+    values = SOFT | pull | dict(drag_damping=5.0)
+    ends = [tip(one.run([values], 40, np.stack(turned))[0, -8:]).mean(0)[1] - THICK / 2 for one in (runner, replace(runner, extra=()))]
+    assert ends[0] == pytest.approx(far, rel=0.1)
+    assert ends[1] == pytest.approx(-far, rel=0.1)
 
 
 @pytest.mark.slow
