@@ -81,8 +81,8 @@ def starts_at_rest(recording: Observed) -> Start:
 def lies_still(recording: Observed) -> bool:
     """Whether frame 0 is an equilibrium: what moves from there on moves no farther than a hand does.
 
-    A body that is let go sets off while hands stay where they are, and so does one that a hand threw. Where nothing says so, as of clouds,
-    or of fewer than three frames, it is taken for one.
+    What is let go sets off while hands, if there are any, stay where they are. Where nothing says so, as of clouds, or of fewer than three
+    frames, frame 0 is taken for one.
     """
     seen = _seen_first(recording)
     if not recording.correspond or recording.observed_frames < FIRST or not seen.any():
