@@ -88,7 +88,6 @@ VALUES = dict(
     grip_rate=300.0,
     layer_thickness=0.008,
     layer_friction=0.4,
-    told_skin=0.9,
 )
 POINTS = ("surface", "touch", "grip")  # stages at points of the material
 # terms that only change what another one reads, or resist what only another one does: a rope twists where its natural curvature asks for it

@@ -243,10 +243,8 @@ def _coarser(scene, recording, cells):
 
 
 def _told(term: Term, scene) -> Term:
-    """``term`` with what is told of its surroundings and of the body: gravity, the plane of the ground, skin over mass."""
+    """``term`` with what the recording says of its surroundings: gravity, the plane of the ground."""
     known = {f"told_gravity_{axis}": float(g) for axis, g in zip("xyz", scene.gravity, strict=True)}
-    if (skin := scene.points.areas.sum()) > 0:
-        known["told_skin"] = float(skin / scene.points.masses.sum())
     if scene.ground is not None:
         plane = dict(zip(("normal_x", "normal_y", "normal_z", "offset"), (*scene.ground.normal, scene.ground.offset), strict=True))
         known |= {f"adhesion_{name}": float(value) for name, value in plane.items()}

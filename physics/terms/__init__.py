@@ -50,7 +50,6 @@ from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
 from .second_hand import SecondHand
 from .self_collision import SelfCollision
-from .skin_air import SkinDrag, SkinWind
 from .soft_grip import SoftGrip
 from .soft_ground import SoftGround
 from .springs import Springs
@@ -117,8 +116,6 @@ __all__ = [
     "RestShape",
     "SecondHand",
     "SelfCollision",
-    "SkinDrag",
-    "SkinWind",
     "SoftGrip",
     "SoftGround",
     "Springs",

@@ -20,8 +20,6 @@ from twinbench.physics.terms import (
     KelvinVoigt,
     LinearDrag,
     NeoHookean,
-    SkinDrag,
-    SkinWind,
     SoftGrip,
     SurfaceDrag,
     Wind,
@@ -136,26 +134,6 @@ def test_quadratic_drag_slows_a_flying_body():
     b = drag * 1.2 / 2 * one.points.areas.sum() / 4 / MASS
     t = np.arange(31) / 60
     np.testing.assert_allclose(path - path[0], np.log(1 + b * v0 * t) / b, rtol=2e-3, atol=1e-9)  # first order: b v dt / 2 is 4e-4
-
-
-def test_drag_of_a_skin_slows_a_flying_body_by_its_mass():
-    # v' = -c v^2 of the whole body, as QuadraticDrag has it of each particle: 1 / v grows by c t
-    v0, drag, t = 3.0, 0.8, np.arange(31) / 60
-    skin = block(SkinDrag(), young=2e5).points.areas.sum() / MASS
-    one = block(SkinDrag({"quadratic_drag": drag, "told_skin": skin}), young=2e5)
-    one = replace(one, velocities=np.tile([v0, 0, 0], (one.particle_count, 1)))
-    path = middle(one, Batch([one], fps=60, double=True).rollout(31).positions[0])[:, 0]
-    np.testing.assert_allclose(path - path[0], np.log1p(drag * v0 * t) / drag, rtol=2e-3, atol=1e-9)
-
-
-def test_wind_takes_a_body_along_by_its_skin():
-    # M dv/dt = c A (W - v)^2, c W^2 = q / s of a pull q [m/s^2] and s = A / M as it is told: W - v = W / (1 + q A t / (s M W)) from rest
-    pull, speed = 20.0, 2.0
-    one = block(SkinWind({"wind_x": pull, "wind_speed": speed, "told_skin": 2.0}), young=2e5)
-    path = middle(one, Batch([one], fps=60, double=True).rollout(31).positions[0])[:, 0]
-    rate, t = pull / 2 * one.points.areas.sum() / (MASS * speed), np.arange(31) / 60
-    assert rate * t[-1] > 0.5  # else a constant force would do as well
-    np.testing.assert_allclose(path - path[0], speed * (t - np.log1p(rate * t) / rate), rtol=2e-3, atol=1e-4)  # half a step's way ahead
 
 
 def test_forces_by_the_mass_are_those_on_nodes_where_they_do_not_ask_for_the_place():
