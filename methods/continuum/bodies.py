@@ -167,9 +167,9 @@ class Body(ABC):
     def laden(self, shift: np.ndarray, values: dict[str, float]) -> Body:
         """The same of which frame 0 is an equilibrium under what moves its nodes by ``shift`` (N, 3) m at complete ``values``.
 
-        Of what is held in shape by its tension, or rests as it lies, frame 0 says nothing of the kind: it stays what it is.
+        Not asked of what is held in shape by its tension, or rests as it lies: frame 0 says nothing of the kind of it.
         """
-        return self
+        raise NotImplementedError
 
     def unloaded(self, recording: Observed, values: dict[str, float], settle: Callable[[Body], np.ndarray]) -> Body:
         """The same with a rest shape such that frame 0 is its equilibrium at complete ``values``.

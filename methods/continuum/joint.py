@@ -11,7 +11,7 @@ from ..base import spread_evenly
 from .bodies import Body, bodies_of
 from .config import Config
 from .scene import Scene
-from .start import lies_still, starts_at_rest
+from .start import starts_at_rest
 from .windows import can_begin_anywhere, window
 
 __all__ = ["placed", "scenes_of"]
@@ -38,10 +38,10 @@ def scenes_of(observed: Sequence[Observed], config: Config, *, seed: int = 0) ->
 def placed(recording: Observed, body: Body, config: Config, seen: Observed | None = None) -> Scene:
     """The scene of a recording from its frame 0 on, which starts as ``config`` says, by the first frames of what was ``seen`` of it."""
     seen = recording if seen is None else seen
-    found = starts_at_rest(seen) if config.start == "auto" else None
+    found = starts_at_rest(seen) if config.start != "frames" else None
     contact = meets_itself(body, config)
-    if config.start == "rest" or (found and found.rest):
-        return Scene.of(recording, body, still=lies_still(seen), contact=contact)
+    if found and (found.rest or config.start == "rest"):
+        return Scene.of(recording, body, still=found.still, contact=contact)
     why = f": {found.words}" if found else ""
     return Scene.of(
         recording, body, speeds=body.speeds(seen), contact=contact, notes=(f"its start velocity is told by its first frames{why}",)

@@ -40,7 +40,7 @@ class Scene:
     gravity    (3,) m/s^2; ground or None; fps, and whether that was recorded (``timed``)
     counts     of tracked, surface and interior structure points
     speeds     of the body in frame 0, or None: at rest
-    still      whether frame 0 is an equilibrium (``start.lies_still``): what pulls at the body pulled at it before
+    still      whether frame 0 is an equilibrium (``start.Start``): what pulls at the body pulled at it before
     contact    whether layers or strands of the body meet
     """
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed
 
-__all__ = ["Speeds", "Start", "lies_still", "seen_velocity", "start_velocity", "starts_at_rest"]
+__all__ = ["Speeds", "Start", "seen_velocity", "start_velocity", "starts_at_rest"]
 
 FIRST = 3  # frames that tell whether the first is a rest
 SLOW = 0.02  # m/s: slower is rest whatever the noise; it is 0.7 mm a frame at 30 frames a second
@@ -21,7 +21,7 @@ FEWEST = 12  # tracks that tell an affine field; fewer tell a rigid one, and few
 
 @dataclass(frozen=True)
 class Start:
-    """Whether frame 0 is a rest.
+    """Whether frame 0 is a rest, and ``still``: an equilibrium. Where nothing says so it is taken for both.
 
     speed  m/s, RMS over the tracks between frames 0 and 1, and its standard error; later, m/s, the same between frames 1 and 2
     """
@@ -31,6 +31,7 @@ class Start:
     error: float
     later: float
     words: str
+    still: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,8 @@ class Speeds:
 def starts_at_rest(recording: Observed) -> Start:
     """Whether nothing moves in frame 0: nothing moves from there to frame 1 either, or at most half as fast as one frame later.
 
-    The latter is a body that sets off in frame 0, as its hand does or because it is let go. The tracks' velocities are averaged as an
+    The latter is a body that sets off in frame 0, as its hand does or because it is let go: frame 0 is an equilibrium unless it goes
+    farther in the first frames than any hand does. The tracks' velocities are averaged as an
     affine field, so that noise hardly enters. Fewer than three frames say nothing: they are taken for a rest.
     """
     if not recording.correspond:
@@ -70,28 +72,14 @@ def starts_at_rest(recording: Observed) -> Start:
     now, after = (_field(home, step, home, rounds=1) for step in steps)
     error = _noise(recording.points[:, seen], recording.visible[:, seen]) * recording.fps * np.sqrt(2 * _columns(len(home)) / len(home))
     speed, later = _rms(now), _rms(after)
+    led = np.linalg.norm(recording.controllers[FIRST - 1] - recording.controllers[0], axis=1).max(initial=0.0)
+    still = _rms(now + after) < max(SLOW * (FIRST - 1), SURE * error, led * recording.fps)
     rest = speed < max(SLOW, SURE * error, SHARE * later)
     words = (
         f"{int(seen.sum())} tracks move at {1e3 * speed:.1f} +- {1e3 * error:.1f} mm/s from frame 0 to 1 and at {1e3 * later:.1f} mm/s "
         f"from frame 1 to 2"
     )
-    return Start(bool(rest), speed, error, later, words)
-
-
-def lies_still(recording: Observed) -> bool:
-    """Whether frame 0 is an equilibrium: what moves from there on moves no farther than a hand does.
-
-    What is let go sets off while hands, if there are any, stay where they are. Where nothing says so, as of clouds, or of fewer than three
-    frames, frame 0 is taken for one.
-    """
-    seen = _seen_first(recording)
-    if not recording.correspond or recording.observed_frames < FIRST or not seen.any():
-        return True
-    home = recording.points[0, seen]
-    gone = _rms(_field(home, recording.points[FIRST - 1, seen] - home, home, rounds=1))
-    error = _noise(recording.points[:, seen], recording.visible[:, seen]) * np.sqrt(2 * _columns(len(home)) / len(home))
-    led = np.linalg.norm(recording.controllers[FIRST - 1] - recording.controllers[0], axis=1).max(initial=0.0)
-    return bool(gone < max(SLOW * (FIRST - 1) / recording.fps, SURE * error, led))
+    return Start(bool(rest), speed, error, later, words, bool(still))
 
 
 def _seen_first(recording: Observed) -> np.ndarray:

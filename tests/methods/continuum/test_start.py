@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from twinbench.datasets.scenario import Observed
-from twinbench.methods.continuum.start import lies_still, start_velocity, starts_at_rest
+from twinbench.methods.continuum.start import start_velocity, starts_at_rest
 
 
 def cloud(speeds, *, count=200, noise=0.0, field=None, seed=0, fps=30.0):
@@ -42,8 +42,8 @@ def test_what_is_let_go_did_not_lie_still(hand):
     gone = 0.1 / 30 * np.arange(11)[:, None, None] ** 2 * [hand, 0, 0]
     hands = dict(controllers=np.repeat(gone, 4, 1), grips=np.full(4, -1))
     made = replace(cloud(fall, noise=1e-3), **hands)
-    assert starts_at_rest(made).rest and lies_still(made) == (hand > 1)
-    assert lies_still(replace(cloud([0.0] * 10, noise=1e-3), **hands))  # what a hand does not move yet
+    assert starts_at_rest(made).rest and starts_at_rest(made).still == (hand > 1)
+    assert starts_at_rest(replace(cloud([0.0] * 10, noise=1e-3), **hands)).still  # what a hand does not move yet
 
 
 def test_too_few_frames_are_taken_for_a_rest():

@@ -12,7 +12,7 @@ from twinbench.methods.continuum.config import DENSITY, Config
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.solids import Solid
-from twinbench.methods.continuum.start import Speeds, lies_still
+from twinbench.methods.continuum.start import Speeds, starts_at_rest
 from twinbench.methods.continuum.twin import ContinuumTwin
 from twinbench.physics.terms import GravityTilt
 
@@ -139,7 +139,7 @@ def pulled():
     scene = as_it_lies(straight)
     bent = scene.body.followed(Simulator(scene, (GravityTilt(),)).settle(SOFT | pull)[None])[0]
     recording = replace(held(np.repeat(bent[None], 40, 0)), gravity=np.zeros(3))
-    return recording, Simulator(replace(as_it_lies(recording), still=lies_still(recording)), (GravityTilt(),)), pull
+    return recording, Simulator(replace(as_it_lies(recording), still=starts_at_rest(recording).still), (GravityTilt(),)), pull
 
 
 def test_what_lay_still_under_a_pull_stays_there(pulled):
