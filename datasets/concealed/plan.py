@@ -66,6 +66,12 @@ PRESETS = {
         without=("bending", "bending_damping", "torsion", "grip_points"),  # a twin that bends and twists fits all of these
     ),
     "blocks": replace(OF_ONE_KIND, solids="hexahedra", bodies=("plush",)),
+    "cloths": replace(
+        OF_ONE_KIND,
+        thin="resolved",
+        bodies=("cloth",),
+        without=("bending", "bending_damping", "plate_drag", "grip_points"),  # a sheet bends and has a drag of its plates
+    ),
 }
 
 

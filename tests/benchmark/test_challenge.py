@@ -75,6 +75,9 @@ def test_a_preset_has_its_bodies_alone_and_nothing_that_it_leaves_out():
     assert not said & set(preset.without) and "wind" in said and "tearing" not in said  # a rope does not tear
     cases = plan("blocks", "7", engines=("finite",))
     assert {c.body for c in cases} == {"plush"} and {"pressure", "tearing"} <= {name for c in cases for name in c.name.split("+")}
+    cases = plan("cloths", "7", engines=("mujoco", "finite"))
+    said = {name for c in cases for name in c.name.split("+")}
+    assert {c.body for c in cases} == {"cloth"} and "self_contact" in said and not said & set(PRESETS["cloths"].without)
 
 
 def test_the_same_seed_is_the_same_plan_and_another_is_another():
