@@ -30,7 +30,6 @@ DRIFT = "track_drift"
 BELOW = {"ground_pose": 0.77, "camera_pose": 0.23}  # of a body below the told ground: e^1.2 as often the ground as all cameras alike
 RIGHT = 1 / 184  # probability that it is told rightly all the same: of 182 recordings of which it is, no body lies below it
 SCHEMA = 2
-NORMAL90 = 1.645  # standard deviations on either side of a normal 90 % interval
 UNFOUNDED = (
     "How far a sound twin of such a body is off is told by no stored recordings, and by other twins alone it was never told well: "
     "recordings of the same command (--against) would tell it."
@@ -70,7 +69,7 @@ class Outcome:
             "test": _test(answer, found.evidence, config),
             "where": _where(first, forward.simulators[0].scene.body.structure) if first else _where_lost(here, parts[0][0]),
             "when": {"frames": [0, parts[0][0].frame_count]} if names else None,
-            "parameters": _parameters(first) | _how_lost(lost),
+            "parameters": _parameters(first, len(found.evidence.noisy)) | _how_lost(lost),
             "fit": _errors(scored, runs, floor),
             "budget": [asdict(b) | {"recording": parts[b.record][0].name} for b in answer.budget],
             "detectable": _detectable(answer, found.evidence, "amount"),
@@ -231,14 +230,17 @@ def _where(first: Named | None, structure) -> dict | None:
     return {"points": points.tolist(), "centroid": centroid.tolist(), "radius": reach}
 
 
-def _parameters(first: Named | None) -> dict:
-    """The effect's amounts with 90 % intervals from the curvature of its refit, and what it was tried with."""
+def _parameters(first: Named | None, members: int) -> dict:
+    """The effect's amounts with 90 % intervals, as of a Student t of so many ``members``, and what it was tried with."""
     if first is None:
         return {}
+    from scipy.stats import t
+
+    wide = float(t.ppf(0.95, members))
     found = {}
     for amount in first.candidate.effect.amounts:
         value, sd = first.amounts[amount.name], first.sds[amount.name]
-        ends = [float(np.clip(value + s * NORMAL90 * sd, amount.low, amount.high)) for s in (-1, 1)]
+        ends = [float(np.clip(value + s * wide * sd, amount.low, amount.high)) for s in (-1, 1)]
         found[amount.name] = {"value": value, "unit": amount.unit, "interval90": ends}
     units = dict.fromkeys(first.candidate.coordinates, "m")
     units |= {p.name: p.unit for p in (first.candidate.effect.term.parameters if first.candidate.effect.term else ())}

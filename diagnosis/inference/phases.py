@@ -189,13 +189,14 @@ def weighed(
     fitting = scatter.only(rows).likelihood(prior, parameters=False)
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
+    members = [(scatter.without(k).only(rows).likelihood(prior, parameters=False), one[rows]) for k, one in enumerate(e.noisy)]
     alarm = found.alarms(config)
     likely, tried, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
     asked = list(likely)[: config.refitted] if alarm and refits else []
     while asked:
         for name in asked:
             for k in likely[name]:
-                own = refitted(*common, e.catalogue[k], config)
+                own = refitted(*common, e.catalogue[k], config, members)
                 if name not in tried or own.log_evidence > tried[name][1].log_evidence:
                     tried[name] = k, own
         gains = {k: one.log_evidence - sound.log_evidence for k, one in tried.values()}

@@ -39,7 +39,10 @@ class Gain:
 class Refit:
     """``candidate`` where its place ended, or None; ``shift`` (n,) of the unknowns in prior standard deviations; ``amounts`` (m,) of the
     effect with standard deviations ``sd`` (m,), in its parameters' units; ``prediction`` (B,) m; ``log_evidence`` by Laplace's
-    approximation."""
+    approximation.
+
+    Standard deviations are those of the curvature, or what sound twins would be said to have of the effect by the same slopes (RMS), where
+    that is more: of a covariance from a few members the curvature promises too much (Huber 1967; Mueller 2013, whose sandwich this is)."""
 
     candidate: Candidate | None
     shift: np.ndarray
@@ -68,10 +71,14 @@ def refitted(
     rows,
     signature: Signature | None,
     config: DiagnosisConfig,
+    sound: Sequence[tuple[Likelihood, np.ndarray]] = (),
 ) -> Refit:
     """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
 
-    likelihood  of these rows, without what parameters do, which are fitted. All refits of a recording have the same budget of steps. Slopes
+    likelihood  of these rows, without what parameters do, which are fitted
+    sound       what sound twins leave of these rows, each with the likelihood by the others
+
+    All refits of a recording have the same budget of steps. Slopes
     are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
     a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
     arrived where fresh slopes lead nowhere. Shapes stay as they were tried until all else has arrived: what they lead to is better than
@@ -137,12 +144,14 @@ def refitted(
         fresh = not gained > max(ARRIVED, TRUSTED * promised)
         if fresh:
             jacobian = _slopes(run, at, jacobian, low, high, measured)
-    curvature = _curvature(at, jacobian, data, likelihood, rows)
+    curvature, _ = _normal(likelihood, (data - at.prediction)[rows], jacobian[rows])
     deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
     evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
     if signature is None:
         return Refit(None, at.numbers, np.zeros(0), np.zeros(0), at.prediction, float(evidence))
-    own, sd = (one[count : count + amounts] for one in (at.numbers, deviations))
+    mistaken = [_normal(one, left, jacobian[rows]) for one, left in sound]
+    spread = np.sqrt(np.mean([np.linalg.solve(*equations) ** 2 for equations in mistaken], axis=0)) if mistaken else 0.0
+    own, sd = (one[count : count + amounts] for one in (at.numbers, np.maximum(deviations, spread)))
     return Refit(there(at.numbers), at.numbers[:count], scale.amounts(own), sd * scale.slope(own), at.prediction, float(evidence))
 
 
@@ -166,21 +175,20 @@ def _one_sided(signature, amounts, deviations) -> float:
     return float(sum(np.log(2) + log_ndtr(far) for a, far in parts if a.one_sided))
 
 
-def _curvature(at, jacobian, data, likelihood, rows):
-    """Of the negative log posterior, in prior standard deviations: Gauss and Newton's, with a Student t's weight."""
-    white, ways = likelihood.whitened((data - at.prediction)[rows]), likelihood.whitened(jacobian[rows])
+def _normal(likelihood, residual, ways):
+    """((n, n) curvature of the negative log posterior, in prior standard deviations: Gauss and Newton's, by a Student t's weight; (n,) its
+    fall by what of ``residual`` (b,) m the slopes ``ways`` (b, n) explain)."""
+    white, ways = likelihood.whitened(residual), likelihood.whitened(ways)
     weight = (likelihood.degrees + len(white)) / (likelihood.degrees + white @ white)
-    return weight * ways.T @ ways + np.eye(ways.shape[1])
+    return weight * ways.T @ ways + np.eye(ways.shape[1]), weight * ways.T @ white
 
 
 def _step(at, jacobian, data, likelihood, rows, low, high):
     """((n,) Gauss and Newton's, what presses against a bound staying there; what it promises to gain)."""
-    white, ways = likelihood.whitened((data - at.prediction)[rows]), likelihood.whitened(jacobian[rows])
-    weight = (likelihood.degrees + len(white)) / (likelihood.degrees + white @ white)
-    downhill = weight * ways.T @ white - at.numbers
+    curvature, fall = _normal(likelihood, (data - at.prediction)[rows], jacobian[rows])
+    downhill = fall - at.numbers
     free = ~((at.numbers <= low) & (downhill < 0) | (at.numbers >= high) & (downhill > 0))
     step = np.zeros(len(free))
-    curvature = weight * ways.T @ ways + np.eye(len(free))
     step[free] = np.linalg.solve(curvature[np.ix_(free, free)], downhill[free])
     return step, float(downhill @ step) / 2
 

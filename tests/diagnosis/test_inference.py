@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2, kstest, multivariate_t
+from scipy.stats import t as student_t
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import Amount, Candidate, Effect, effects
 from twinbench.diagnosis.inference.absorption import absorb
@@ -294,6 +295,26 @@ def test_the_evidence_of_a_refit_is_that_of_the_linear_effect_where_all_is_norma
     found, sound = (refitted(*given, what, DiagnosisConfig()) for what in (one, None))
     linear = score(marginal, data - world.reference, one)
     assert found.log_evidence - sound.log_evidence == pytest.approx(linear.log_evidence, abs=1e-3)
+
+
+def test_intervals_of_amounts_cover():
+    """90 % intervals of an amount, of 100 recordings with errors of their own, none of which another one shares members with.
+
+    By the curvature alone they hold 77. A binomial's 1 % quantile is between.
+    """
+    wide, inside = student_t.ppf(0.95, MEMBERS), []
+    for seed in range(100):
+        world = World(3000 + seed)
+        one = world.catalogue[0]
+        twins = Bent(world, one.columns[:, 0], bend=0.0)
+        scatter, _, noisy = world.evidence(world.reference)
+        data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=2.0)])[0] + world.sound(1)[0] - world.reference + world.noise()
+        sound = [(scatter.without(k).likelihood(PRIOR, parameters=False), row) for k, row in enumerate(noisy)]
+        given = (twins, data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE), one)
+        found = [refitted(*given, DiagnosisConfig(), *more) for more in ((), (sound,))]
+        inside.append([abs(f.amounts[0] - 2.0) < w * f.sd[0] for f, w in zip(found, (1.645, wide), strict=True)])
+    least = binom.ppf(0.01, 100, 0.9)
+    assert np.sum(inside, 0)[1] >= least > np.sum(inside, 0)[0]
 
 
 def test_a_refit_goes_no_farther_than_steps_are_affordable():
