@@ -13,8 +13,25 @@ from twinbench.methods.static import Static
 SUBJECTS = {name: Subject(found) for name, found in sorted(methods().items())}
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
-@pytest.mark.parametrize("name", SUBJECTS)
+FITTED_ANEW = ("a_twin_is_fitted_on_several_recordings_and_stands_in_the_first", "held_out_frames_do_not_matter") + (
+    "train_frames_matter",
+    "the_same_seed_gives_the_same_bits",
+)
+
+
+def cases():
+    """All methods and checks; of ``continuum+diagnosed``, which fits a sound ``continuum``, what takes further fits is slow."""
+    for name in SUBJECTS:
+        for check in CHECKS:
+            slow = name == "continuum+diagnosed" and check.__name__ in FITTED_ANEW
+            yield pytest.param(name, check, id=f"{name}-{check.__name__}", marks=[pytest.mark.slow] if slow else [])
+
+
+def test_what_is_left_to_slow_tests_are_checks_that_there_are():
+    assert set(FITTED_ANEW) <= {check.__name__ for check in CHECKS} and "continuum+diagnosed" in SUBJECTS
+
+
+@pytest.mark.parametrize(("name", "check"), cases())
 def test_method(name, check):
     try:
         check(SUBJECTS[name])

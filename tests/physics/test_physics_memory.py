@@ -100,7 +100,7 @@ def test_stress_relaxation():
     np.testing.assert_allclose(tension, Y * e * (1 + a * np.exp(-t / tau)), rtol=0, atol=ROUNDING)
 
 
-@pytest.mark.parametrize("ratio", [0.3, 1.0, 4.0])  # omega tau
+@pytest.mark.parametrize("ratio", [1.0, *(pytest.param(r, marks=pytest.mark.slow) for r in (0.3, 4.0))])  # omega tau
 def test_loss_and_storage_modulus(ratio):
     # e = e0 sin(w t), and after the transient F = e0 (E' sin + E'' cos) with E' = Y (1 + a (w tau)^2 / (1 + (w tau)^2)) and
     # E'' = Y a w tau / (1 + (w tau)^2). The memory sees a strain of half a substep ago: first order in w dt, at most w dt of Y a

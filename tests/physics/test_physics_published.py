@@ -200,7 +200,7 @@ def engine(system, *, double, frames=FRAMES):
     return Batch([system], fps=30, substeps=SUBSTEPS, dt=DT, double=double, workers=1).rollout(frames).positions[0].numpy()
 
 
-@pytest.mark.parametrize("name", SMOOTH)
+@pytest.mark.parametrize("name", [n if n == "everything" else pytest.param(n, marks=pytest.mark.slow) for n in SMOOTH])
 def test_single_precision_agrees_with_the_transcription(name, references):
     system, expected = references(name)
     found = engine(system, double=False)
