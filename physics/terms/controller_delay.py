@@ -16,7 +16,7 @@ class ControllerDelay(SetupTerm):
     """
 
     name = "controller_delay"
-    parameters = (Parameter("controller_delay", 0.0, -0.1, 0.2, "s", "how much later the body feels the controllers than they are listed"),)
+    parameters = (Parameter("controller_delay", 0.0, -0.2, 0.2, "s", "how much later the body feels the controllers than they are listed"),)
     effect = Effect(
         "controller_delay",
         "the controllers were recorded on another clock",

@@ -156,6 +156,15 @@ def test_what_lay_still_under_a_pull_stays_there(pulled):
     )
 
 
+def test_the_rest_without_a_pull_is_that_of_the_numbers_that_are_asked(pulled):
+    # which is kept from run to run: no run depends on those before it
+    _, runner, pull = pulled
+    stiffer = SOFT | dict(youngs_modulus=1.5 * YOUNG)
+    asked = [SOFT | pull, SOFT | dict(tilt_y=1.5), stiffer | pull, SOFT | dict(tilt_x=2.0)]
+    each = [replace(runner).run([values], 3)[0] for values in asked]
+    np.testing.assert_array_equal(runner.run(asked, 3), each)
+
+
 def test_a_pull_that_was_there_before_shows_where_the_body_turns(pulled):
     # turned over about its axis, a bar that is straight at rest ends bent the way of the pull; one that is bent at rest, the other way
     recording, runner, pull = pulled
