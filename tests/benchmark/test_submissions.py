@@ -177,7 +177,9 @@ class Picky(Holds):
         return "it does not like the second" if scenario.name == NAMES[1] else None
 
 
-@pytest.mark.parametrize("kind", [Holds, Diverges, LostLate, Double, Fails, Stays, Picky])
+@pytest.mark.parametrize(
+    "kind", [LostLate, Fails, Picky, *(pytest.param(k, marks=pytest.mark.slow) for k in (Holds, Diverges, Double, Stays))]
+)
 def test_whatever_becomes_of_a_roll_out_is_submitted_and_scored_so(things, tmp_path, cache, kind):
     (study,) = studies(str(things), methods=[kind], metrics=LENGTHS, cache=cache.root, quiet=True)
     ran = study.run()

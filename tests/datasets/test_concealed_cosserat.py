@@ -186,7 +186,7 @@ def test_the_same_again_is_the_same_to_the_bit():
     np.testing.assert_array_equal(one, again)
 
 
-@pytest.mark.parametrize("kind", ["drag", "two_hands"])
+@pytest.mark.parametrize("kind", ["drag", pytest.param("two_hands", marks=pytest.mark.slow)])
 def test_it_agrees_with_the_finite_elements(monkeypatch, kind):
     rng = np.random.default_rng(5)
     body = bodies.rope(rng)

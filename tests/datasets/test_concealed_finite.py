@@ -235,7 +235,7 @@ def test_a_hanging_chain_swings_as_bernoulli_found():
     assert abs(decay) < 0.03
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.02])
+@pytest.mark.parametrize("damping", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_a_stretched_sheet_rings_and_dies_out_as_it_should(damping):
     length, tension, mass = 0.3, 4.0, 0.05
     body = sheet(size=length, width=0.06, cells=20, height=0.5, tension=tension, mass=mass, damping=damping)

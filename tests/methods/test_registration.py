@@ -71,7 +71,7 @@ def test_points_in_a_plane_turn_without_reflection():
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.5, 3.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2))])
 def test_closest_points_find_any_motion_of_a_whole_cloud(seed, angle):
     structure = body(seed)
     rotation, shift = motion(seed, angle)
@@ -146,7 +146,7 @@ def apart(structure, found, truth):
 
 @pytest.mark.parametrize("turned", [0, 180])
 @pytest.mark.parametrize("about", [0, 1, 2])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_colours_tell_how_a_symmetric_body_lies(turned, about, seed):
     structure, other = ellipsoid(seed), ellipsoid(seed + 10)  # another sample: no particle has its like, neighbours are 5 mm apart
     axis = np.eye(3)[about]
