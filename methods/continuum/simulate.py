@@ -48,7 +48,8 @@ class Simulator:
     extra: tuple[Term, ...] = ()
     device: str = "cpu"
     finer: int = 1
-    latest: Latest = field(default_factory=Latest, init=False, repr=False)
+    latest: Latest[Batch] = field(default_factory=Latest, init=False, repr=False)
+    unpulled: Latest[np.ndarray] = field(default_factory=Latest, init=False, repr=False)  # where nodes rest without further pulls
 
     @cached_property
     def system(self) -> System:
@@ -114,10 +115,8 @@ class Simulator:
         pulling = {p.name for term in self.extra if term.loads for p in term.parameters}
         own = tuple((name, value) for name, value in sorted(values.items()) if name not in pulling)
         try:
-            if own not in self._known_rests:
-                self._known_rests.clear()
-                self._known_rests[own] = there.settle(values | pulls)
-            return body.laden(there.settle(values) - self._known_rests[own], values)
+            rest = self.unpulled.of(own, lambda: there.settle(values | pulls))
+            return body.laden(there.settle(values) - rest, values)
         except ValueError:  # it does not come to rest
             return None
 
@@ -309,11 +308,6 @@ class Simulator:
 
     @cached_property
     def _known_steps(self) -> dict:
-        return {}
-
-    @cached_property
-    def _known_rests(self) -> dict:
-        """Where the nodes of the last body that was asked come to rest without further pulls."""
         return {}
 
     @cached_property

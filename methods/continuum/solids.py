@@ -27,8 +27,7 @@ __all__ = ["Equilibrium", "Solid", "posed"]
 APART = 4.0  # times as stiff, from one start to the next
 ALIKE = 0.1  # of a body's size, RMS: frame 0 of another recording that is farther from the rest shape is taken for the rest shape itself
 ONE = 1e-4  # m, RMS: clouds so near are one cloud, moved
-FOUND = 60  # rounds, at most, in which a place in the rest shape is found: where the body has turned by 40 degrees each gains a third of a
-# digit
+FOUND = 60  # rounds, at most, that find a place in the rest shape: where the body has turned by 40 degrees each gains a third of a digit
 SAME = 1e-12  # m, a round's change with which it is found
 HALF = 0.5 + 1e-6  # of a cell, from a driven marker to a node that it carries
 
