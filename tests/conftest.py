@@ -11,13 +11,16 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 def pytest_addoption(parser):
-    parser.addoption("--slow", action="store_true", help="also run the tests marked slow")
+    parser.addoption("--long", action="store_true", help="also run the tests marked long, as CI does")
+    parser.addoption("--slow", action="store_true", help="also run the tests marked long and slow")
 
 
 def pytest_collection_modifyitems(config, items):
-    for item in items:
-        if "slow" in item.keywords and not config.getoption("--slow"):
-            item.add_marker(pytest.mark.skip(reason="slow: run with --slow"))
+    slow = config.getoption("--slow")
+    for mark, asked in (("slow", slow), ("long", slow or config.getoption("--long"))):
+        for item in items:
+            if mark in item.keywords and not asked:
+                item.add_marker(pytest.mark.skip(reason=f"{mark}: run with --{mark}"))
 
 
 @pytest.fixture(scope="session")

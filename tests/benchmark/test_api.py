@@ -145,6 +145,7 @@ except ValueError as error:
 """
 
 
+@pytest.mark.long
 def test_a_method_in_a_notebook_is_fitted_anew_when_it_is_defined_anew(tmp_path):
     # read from standard input, a program is in no file: what a notebook's cell is
     data = folder(tmp_path / "thing")

@@ -254,6 +254,7 @@ def run(cache, use=Still, seed=0, found=None):
     return [(row["status"], row["reason"], row["track_error"]) for row in rows]
 
 
+@pytest.mark.long
 def test_what_an_entry_says_chooses_no_class(cache):
     good = run(cache)
     shutil.rmtree(cache.root / "rows")
@@ -503,6 +504,7 @@ def killed_at(count, work):
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("before", ["nothing", "damaged", "sound"])
 def test_a_writer_killed_at_any_event_loses_nothing_and_leaves_nothing(tmp_path, before):
     for count in range(1, 200):

@@ -353,6 +353,7 @@ def test_answers_are_given_without_the_labels(challenge):
     assert {a["verdict"] for a in answers} == {"adequate", "missing"} and all(a["by"]["commit"] == "c" * 40 for a in answers)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("room", ["diagnosis", "benchmark/challenge/entrants"])
 def test_who_answers_imports_nothing_of_those_who_conceal(room):
     """Neither directly nor through anything that it imports, at the top of a file or inside a function."""
@@ -445,6 +446,7 @@ def test_answers_are_taken_from_somewhere_under_a_new_name(challenge, tmp_path):
         take_answers(challenge.root, name="guess", source=tmp_path)
 
 
+@pytest.mark.long
 def test_opening_is_written_down_and_what_comes_later_is_exploratory(challenge):
     with pytest.raises(ValueError, match="is still sealed"):
         score_set(challenge.root)
@@ -471,6 +473,7 @@ def test_opening_is_written_down_and_what_comes_later_is_exploratory(challenge):
     assert (status["status"], status["why"]) == ("exploratory", "the set had been opened before these answers were sealed")
 
 
+@pytest.mark.long
 def test_a_test_in_parts_is_scored_as_one(tmp_path, entrants, capsys):
     # two sets of one preset, each sealed, answered and opened by itself; who answered one alone has refused in the other
     for part, names in (("one", ("guess", "broken")), ("two", ("guess",))):
@@ -554,6 +557,7 @@ def test_an_opened_set_is_a_folder_of_cases_and_a_sealed_one_is_not(challenge, t
     assert scored["alarms"] == 0 and scored["controls"] == 12  # the guess never errs on controls
 
 
+@pytest.mark.long
 def test_the_commands_from_end_to_end(tmp_path, entrants, capsys, monkeypatch):
     monkeypatch.setitem(PRESETS, "quick", MANY)
     folder = tmp_path / "set"

@@ -188,6 +188,7 @@ def test_two_at_a_time_leave_one_chain(stages, tmp_path):
     assert len(ledger.read()) == 21  # the chain holds, and nobody's line is lost
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("to", ["entrant", "keeper"])
 def test_unpacking_goes_on_too(stages, to, tmp_path):
     archive, _ = pack(stages["answer"], to, tmp_path / "part.zip")

@@ -268,6 +268,7 @@ def fresh(arguments):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.long
 def test_a_repeated_run_imports_no_engine_and_does_not_read_the_recordings(cases):
     arguments = ["run", "--quiet", "--methods", "static", "rigid", "--data", str(cases)]
     assert fresh(arguments)[0] == 0

@@ -59,6 +59,7 @@ def settings(*names):
     return Settings({name: methods()[name] for name in names}, {"track_error": metrics()["track_error"]})
 
 
+@pytest.mark.long
 def test_a_killed_workers_piece_is_done_again_and_rows_are_those_of_one_process(two, tmp_path):
     address, workers, _ = two
     (tmp_path / "begun").mkdir()

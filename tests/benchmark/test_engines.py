@@ -31,6 +31,7 @@ ROPES, SQUARE = (rope.NODES - 1,), (sheet.SIDE - 1,) * 2
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("engine", "body", "setting"),
     [
@@ -67,6 +68,7 @@ def test_every_engine_lets_go_the_same_body_and_a_batch_is_its_bodies(engine, bo
         assert apart(several[0, -1], several[2, -1]) > 2e-4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("body", [pytest.param(rope.THROWN, id="thrown"), pytest.param(rope.CABLE, id="cable", marks=SLOW)])
 def test_engines_throw_a_rope_alike(body):
     # a twelfth of a second, 34 mm of free fall: weight and throw are the same in all; stretch and first order steps are below a millimetre
@@ -78,6 +80,7 @@ def test_engines_throw_a_rope_alike(body):
         assert apart(way, ways[0]) < 1e-3
 
 
+@pytest.mark.long
 def test_a_sheet_falls_alike_in_two_engines():
     # of one material and thickness; two laws of bending on the same lattice, before it whips: within a tenth of the way
     ours = sheet.Sheets().ready([sheet.Sheet()], Setting(SQUARE, 95))()[0, 10]

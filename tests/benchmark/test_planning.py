@@ -327,6 +327,7 @@ def test_every_task_says_what_it_wants():
 # ---------------------------------------------------------------- plans of twins
 
 
+@pytest.mark.long
 def test_a_stiff_body_is_put_where_it_should_be():
     # every point goes where the hand goes, so that the plan's end is the goal's shift; 2 mm as for the quadratic
     start, shift = held(lying(), 30), np.array([0.12, -0.08, 0.05])
@@ -375,6 +376,7 @@ def test_what_blows_up_is_said_and_the_others_go_on():
     assert made.diverged > 0 and made.cost == pytest.approx(0.1)
 
 
+@pytest.mark.long
 def test_equal_twins_plan_alike(tmp_path):
     # the null: a twin and its copy from a file gain nothing over each other, to the last bit
     recording, twin = solid()
@@ -392,6 +394,7 @@ def test_a_twin_that_knows_nothing_plans_nothing():
     assert not plan(StaticTwin.of(start), start, moved_goal(start, [0.1, 0, 0]), SMALL).moved.any()
 
 
+@pytest.mark.long
 def test_only_frame_0_is_looked_at():
     recording, twin = solid()
     other = replace(recording, points=np.concatenate([recording.points[:1], recording.points[1:] + 0.3]))
@@ -466,6 +469,7 @@ def test_the_same_points_are_seen_of_a_plan_as_of_its_start(rope):
         rope.execute(start, np.zeros((8, 2, 3)))
 
 
+@pytest.mark.long
 def test_a_truth_is_drawn_from_its_seed_and_hides_what_is_asked(rope):
     np.testing.assert_array_equal(drawn("rope", "drag", seed=7).recording.points, rope.recording.points)
     heavy = drawn("rope", "drag", seed=7, hidden="added_mass")

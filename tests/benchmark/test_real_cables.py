@@ -100,6 +100,7 @@ def test_a_rope_that_bends_lacks_bending_first_and_no_drag():
     assert accepted[0] == "bending" and "quadratic_drag" not in accepted
 
 
+@pytest.mark.long
 def test_its_rigidity_is_found():
     # within a factor of two: with five free nodes, twice as far apart as the rope's, a clamp that acts over half a spacing is long
     assert RIGIDITY / 2 < found().fits[-1].values["bending_stiffness"] < 2 * RIGIDITY

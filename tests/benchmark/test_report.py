@@ -170,6 +170,7 @@ def bare(tmp_path_factory):
     return ran(Opened(made), tmp_path_factory.mktemp("bare"), MADE, (*GEOMETRIC, "psnr"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("which", ["sample", "bare"])
 def test_every_recording_and_method_is_there_with_the_rows_numbers(which, request):
     found = request.getfixturevalue(which)

@@ -19,6 +19,8 @@ from twinbench.methods.registry import methods
 from twinbench.methods.spring_gaus.config import START
 from twinbench.metrics.base import metrics
 
+pytestmark = pytest.mark.long  # every method is fitted to every recording
+
 FRAMES, TRAIN = 8, 6
 # of a preset's work: enough to run every stage once
 LEAST = dict(iterations=1, population=3, epochs=1, anchors=24, opacity_steps=2, width=54)

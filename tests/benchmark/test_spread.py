@@ -39,6 +39,7 @@ def test_cards_are_those_that_this_process_sees(monkeypatch, named, count, expec
     assert cards("cuda") == expected and cards("cpu") == ()
 
 
+@pytest.mark.long
 def test_rows_are_those_of_one_process(tmp_path):
     common = settings("static", "rigid")
     opened = open_recordings("sample", split="published", cache=Cache(tmp_path / "one"))

@@ -177,6 +177,7 @@ class Picky(Holds):
         return "it does not like the second" if scenario.name == NAMES[1] else None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "kind", [LostLate, Fails, Picky, *(pytest.param(k, marks=pytest.mark.slow) for k in (Holds, Diverges, Double, Stays))]
 )

@@ -31,6 +31,7 @@ def taken(cameras, out, options=SMALL, *, frames=12, **how):
         return take([camera.device for camera in cameras], out, options, **(until | how))
 
 
+@pytest.mark.long
 def test_two_cameras_are_recorded_and_come_back_exact(tmp_path):
     """Frame t has depth 4000 + t in every pixel: what is read says which frames were recorded; 5 and 6 of the second never came."""
     pytest.importorskip("pyrealsense2")
@@ -50,6 +51,7 @@ def test_two_cameras_are_recorded_and_come_back_exact(tmp_path):
     assert np.array_equal(again.cameras[0].arrivals, recording.cameras[0].arrivals)
 
 
+@pytest.mark.long
 def test_colour_is_never_put_beside_the_depth_of_another_time(tmp_path):
     """librealsense hands out a colour whose depth is missing with the depth that comes next, 33 ms later: that frame is left out."""
     pytest.importorskip("pyrealsense2")
@@ -70,6 +72,7 @@ def test_nothing_is_written_without_a_folder_and_a_folder_that_is_there_is_kept(
     assert list(tmp_path.iterdir()) == [tmp_path / "take"]
 
 
+@pytest.mark.long
 def test_a_camera_that_cannot_or_does_not_deliver_is_named(tmp_path):
     pytest.importorskip("pyrealsense2")
     with pytest.raises(ValueError, match=r"camera left: must deliver colour and depth of 640 x 480 at 30 a second, has neither"):
@@ -152,6 +155,7 @@ class Context:
 LIBREALSENSE = types.SimpleNamespace(context=Context, camera_info=types.SimpleNamespace(serial_number=0))
 
 
+@pytest.mark.long
 def test_the_command_records_what_the_devices_deliver(monkeypatch, capsys, tmp_path):
     pytest.importorskip("pyrealsense2")
     camera = SoftwareCamera("left", lost=(2,))

@@ -67,6 +67,7 @@ def filmed(mesh, azimuths=(0.4, 2.5, 4.6)):
     return cameras, masks, [np.zeros((H, W), bool)] * len(cameras), depths, clouds
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("azimuths", [(0.4, 2.5, 4.6), (0.4,)])
 def test_a_mesh_of_other_units_and_axes_is_brought_into_place(azimuths):
     """Pixels of the object are 2.8 mm wide, and with one camera its far side is told by the table and the silhouette alone."""

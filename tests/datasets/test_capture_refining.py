@@ -27,6 +27,7 @@ def touched():
     return posed(film_board(424, seed=5, frames=1), [shaken(pose, rng) for pose in TRUE])
 
 
+@pytest.mark.long
 def test_cameras_that_were_touched_are_mended(touched, tmp_path, capsys):
     """Asked for: 0.2 degrees and 2 mm between cameras. A pixel is 2.2 mm wide, some 200 points are followed by a tenth of it."""
     before = relative_error([raw.camera_to_world for raw in touched.cameras], TRUE)

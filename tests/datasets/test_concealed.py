@@ -217,6 +217,7 @@ def test_a_maxwell_branch_relaxes_exponentially():
     np.testing.assert_allclose((1 + ratio) * elastic + remembered, (1 + ratio * np.exp(-0.3 / tau)) * elastic, atol=1e-9)
 
 
+@pytest.mark.long
 def test_a_stiff_cord_bends_as_a_cantilever():
     length, mass, rigidity = 0.3, 0.02, 5e-2
     body = replace(cord(length=length, count=31, height=0.5, rigidity=rigidity, mass=mass, drag=5.0), damping=0.05)
@@ -530,6 +531,7 @@ def test_volumes_are_signed():
     np.testing.assert_allclose(body.volumes(np.stack([whole, 2 * whole, mirrored])).mean(axis=1), [1, 8, -1], rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_stuffed_body_keeps_its_elements_right_side_out():
     rng = np.random.default_rng([3, 77])
     body = plush(rng)
@@ -587,6 +589,7 @@ def test_late_hands(lifted):
     np.testing.assert_array_equal(late.points, true.points)
 
 
+@pytest.mark.long
 def test_a_wrong_camera_moves_its_tracks_rigidly(lifted):
     shift, turn = (0.01, -0.005, -0.008), (0.0, 0.01, 0.02)
     true, wrong = seen(lifted), seen(lifted, Faults(camera=-1, camera_shift=shift, camera_turn=turn))
@@ -601,6 +604,7 @@ def test_a_wrong_camera_moves_its_tracks_rigidly(lifted):
     assert 0 < changed.sum() < len(changed)
 
 
+@pytest.mark.long
 def test_wrong_grip_points_are_wrong_by_the_same_in_the_hand(lifted):
     shift = np.array([0.03, 0.01, 0.0])
     true, wrong = seen(lifted), seen(lifted, Faults(grip_shift=tuple(shift)))
@@ -731,6 +735,7 @@ def written(tmp_path_factory):
     return out
 
 
+@pytest.mark.long
 def test_cases_are_read_as_pairs_of_one_object(written):
     labels = json.loads((written / "labels.json").read_text())
     assert sorted(labels) == ["case_000", "case_001"] and {label["kind"] for label in labels.values()} == {"effect", "control"}
@@ -747,6 +752,7 @@ def test_cases_are_read_as_pairs_of_one_object(written):
         assert label["effect"] is None or label["displacement"] >= 0.010
 
 
+@pytest.mark.long
 def test_nothing_in_the_folders_gives_a_case_away(written):
     names, kinds = [], []
     words = [*EFFECTS, *OUTSIDE, *CONTROLS, "mujoco", "effect", "control\x00", "cloth", "rope", "plush"]
@@ -762,6 +768,7 @@ def test_nothing_in_the_folders_gives_a_case_away(written):
     assert names[0] == names[1] and kinds[0] == kinds[1]
 
 
+@pytest.mark.long
 def test_what_is_there_is_kept(written, capsys):
     from twinbench.datasets.concealed.__main__ import main
 
@@ -771,6 +778,7 @@ def test_what_is_there_is_kept(written, capsys):
     assert len(capsys.readouterr().out.splitlines()) == 2  # the table alone
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_part_of_a_set_is_the_same_cases(written, tmp_path, capsys):
     from twinbench.datasets.concealed.__main__ import main

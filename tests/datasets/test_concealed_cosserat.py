@@ -19,6 +19,7 @@ from twinbench.datasets.concealed.world import Obstacle, Physics, Unstable
 from twinbench.datasets.synthetic.simulate import GRAVITY
 
 pytest.importorskip("elastica", reason="PyElastica is not installed: pip install 'pyelastica>=1'")
+pytestmark = pytest.mark.long  # its first run compiles for a minute
 
 NOWHERE = Physics(gravity=(0.0, 0.0, 0.0))
 holding = partial(probes.holding, reach=0.03)

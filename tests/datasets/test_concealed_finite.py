@@ -235,6 +235,7 @@ def test_a_hanging_chain_swings_as_bernoulli_found():
     assert abs(decay) < 0.03
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("damping", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_a_stretched_sheet_rings_and_dies_out_as_it_should(damping):
     length, tension, mass = 0.3, 4.0, 0.05
@@ -442,6 +443,7 @@ def test_a_torn_seam_carries_nothing():
     assert np.diff(loose[10:18], 2).mean() * 900 == pytest.approx(-GRAVITY, rel=0.005)  # its centre of mass falls freely
 
 
+@pytest.mark.long
 def test_a_grip_carries_the_weight_and_slips_by_what_it_may():
     body, most = sheet(height=0.5, drag=5.0), 0.03
     weight = body.mass.sum() * GRAVITY

@@ -246,6 +246,7 @@ def test_a_stretched_sheet_rings_and_dies_out_as_it_should(damping):
     assert decay == pytest.approx(expected**2 * (damping + DT) / 2, rel=0.06, abs=0.02)  # single precision gives and takes 0.01 / s
 
 
+@pytest.mark.long
 def test_finer_steps_and_more_iterations_change_little(monkeypatch):
     body, script = drawn("plush", "circle", 3, 20)
     coarse, fine = (simulate(body, script, substeps=per).vertices for per in (32, 64))
@@ -258,6 +259,7 @@ def test_finer_steps_and_more_iterations_change_little(monkeypatch):
     assert rms(fine - coarse) < 1.5e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind, most", [pytest.param("cloth", 3e-3, marks=pytest.mark.slow), ("plush", 1e-3)])
 def test_both_kinds_of_elements_agree(kind, most):
     # Two discretisations in time and two materials (Smith's and the logarithmic one) that agree to the first order of the strain
@@ -277,6 +279,7 @@ def test_mujocos_stuffed_bodies_move_alike():
     assert rms(one - other) < 2e-3
 
 
+@pytest.mark.long
 def test_one_seed_one_motion_bit_for_bit():
     body, script = drawn("cloth", "lift_shake", 0, 6)
     np.testing.assert_array_equal(*(simulate(body, script).vertices for _ in range(2)))
@@ -290,6 +293,7 @@ def test_a_step_too_far_is_reported():
 # --- contact --------------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(  # viscosities of 4,570, 50, 1,140 and 890 Pa s
     "seed, damping", [(0, 4.0), (4, 1.0), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((0, 1.0), (2, 1.0)))]
 )
@@ -347,6 +351,7 @@ def test_an_obstacle_holds_a_cloth_up(shape):
 # --- laws -----------------------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_grip_carries_the_weight_and_slips_by_what_it_may():
     body, most = sheet(height=0.5, drag=5.0), 0.03
     weight = body.mass.sum() * GRAVITY

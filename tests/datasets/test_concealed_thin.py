@@ -82,7 +82,7 @@ def cantilever(count, degrees, **more):
 @pytest.mark.parametrize(
     "count, degrees", [(20, 0), (40, 30), *(pytest.param(*one, marks=pytest.mark.slow) for one in ((20, 30), (40, 0)))]
 )
-@pytest.mark.parametrize("by", ["finite", "mujoco", "cosserat"])
+@pytest.mark.parametrize("by", ["finite", "mujoco", pytest.param("cosserat", marks=pytest.mark.long)])
 def test_a_held_rope_sags_as_a_cantilever(by, count, degrees):
     pytest.importorskip({"finite": "scipy", "mujoco": "mujoco", "cosserat": "elastica"}[by])
     body, script = cantilever(count, degrees)

@@ -138,6 +138,7 @@ def truth(shared, name):
     return dict(zip(names, positions, strict=True)), packed["file_id"], packed["run"]
 
 
+@pytest.mark.long
 def test_published_recordings(published, shared):
     name, path = published
     markers, particles = PUBLISHED_COUNTS[name]
@@ -159,6 +160,7 @@ def test_published_recordings(published, shared):
         assert nearest.min() > 0.005 and nearest.min(1).max() < 0.015
 
 
+@pytest.mark.long
 def test_swapped_end_markers_are_found(recordings, shared):
     """Known faults: DLO1's files at sorted positions 34 and 35 (ids 89 and 90); DLO3 has none."""
     dlo1, dlo3 = (opened(recordings / "data_set" / name) for name in ("DLO1", "DLO3"))
@@ -185,6 +187,7 @@ def test_sessions_agree_with_runs(published, shared):
     assert len(set(session.values())) == {"DLO1": 9, "DLO3": 22}[name]
 
 
+@pytest.mark.long
 def test_clean_split_of_published_recordings(published):
     name, path = published
     found = open_collection(path, split="clean")

@@ -150,6 +150,7 @@ def opened(path):
     return open_collection(path)
 
 
+@pytest.mark.long
 def test_published_recordings(published):
     """Counts as published; the free markers hang below the grips, so up is +y; particles lie about a centimetre apart."""
     name, path = published
@@ -183,6 +184,7 @@ def test_sessions_agree_with_the_names(published):
     assert {stem: session[stem] for stem in expected} == expected
 
 
+@pytest.mark.long
 def test_clean_split_of_published_recordings(published):
     name, path = published
     found = open_collection(path, split="clean")
@@ -191,6 +193,7 @@ def test_clean_split_of_published_recordings(published):
     assert len(found.pairs[0].sources) == {"BDLO1": 58, "BDLO1_mid_clamp": 10}[name]
 
 
+@pytest.mark.long
 def test_inference_agrees_with_the_table(published):
     """The published tree of BDLO1 is found from its motion alone."""
     _, path = published

@@ -99,6 +99,7 @@ def campaign(whole, tmp_path, capfd, seed, count):
     return outcomes
 
 
+@pytest.mark.long
 def test_spoilt_cases_are_refused_in_one_line_or_opened(whole, tmp_path, capfd):
     outcomes = campaign(whole, tmp_path, capfd, seed=1, count=60)
     assert outcomes["refused"] > 15 and outcomes.total() - outcomes["refused"] > 5, outcomes

@@ -46,6 +46,7 @@ def spoil(file, random):
     return f"{file.name} {how}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [QUICK, pytest.param(COUNT, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("layout", FOLDERS)
 def test_spoilt_recordings_are_refused_in_one_line_or_opened(recordings, tmp_path, capfd, layout, count):

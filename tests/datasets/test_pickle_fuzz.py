@@ -200,6 +200,7 @@ ANY = st.one_of(PROGRAMS, mutated())
 QUIET = dict(deadline=None, suppress_health_check=list(HealthCheck))
 
 
+@pytest.mark.long
 @settings(max_examples=200, **QUIET)
 @given(ANY)
 def test_any_program_gives_data_or_one_clear_error(ward, data):

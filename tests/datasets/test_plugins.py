@@ -204,6 +204,7 @@ def test_a_broken_plug_in_is_one_named_warning_and_never_the_end_of_list(hostile
         assert f"\n  {good} " in done.stdout
 
 
+@pytest.mark.long
 def test_a_broken_plug_in_never_ends_a_run(hostile, twinbench, tmp_path):
     metrics = ("chamfer", "worst", "scoring", "lengths", "asking")  # of images none, for time
     options = ("--tasks", "prediction", "--out", "out", "--metrics", *metrics, "--methods")
@@ -293,6 +294,7 @@ def test_a_damaged_list_of_entry_points_is_one_warning(tmp_path, python):
     assert "no_pairs-1.2.dist-info are left out: TypeError" in done.stderr and done.stderr.count("\n") == 1
 
 
+@pytest.mark.long
 def test_a_layout_that_fails_to_open_is_one_line(tmp_path, twinbench):
     (tmp_path / "folder").mkdir()
     site = tmp_path / "site"
@@ -327,6 +329,7 @@ FILES = {
 }
 
 
+@pytest.mark.long
 def test_a_broken_file_in_a_clone_is_one_named_warning(tmp_path, python):
     root, package = Path(__file__).resolve().parents[2], tmp_path / "site" / "twinbench"
     for room in ("benchmark", "datasets", "diagnosis", "methods", "metrics", "physics"):

@@ -60,6 +60,7 @@ def same(a, b):
     return a == b or (a != a and b != b)
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])
 @given(value=TREES, protocol=st.integers(0, pickle.HIGHEST_PROTOCOL))
 def test_data_comes_out_as_it_went_in(tmp_path, value, protocol):

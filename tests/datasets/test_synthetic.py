@@ -318,6 +318,7 @@ def test_annotated_tracks(drag):
     assert all(mask[t][pixel[t, k, 1], pixel[t, k, 0]] for t, k in zip(*np.nonzero(shown), strict=True))
 
 
+@pytest.mark.long
 def test_one_seed_one_recording(monkeypatch):
     monkeypatch.setattr("twinbench.datasets.synthetic.resolved.BLOCK", 0.045)  # larger cells, the same arithmetic
     drag, again = (generate("plush_drag", frames=4) for _ in range(2))
@@ -369,6 +370,7 @@ def test_sample_is_small():
     assert sum(f.stat().st_size for f in files) < 15e6  # of them 11 MB depth maps, which a clone packs into 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "frames"), [("plush_lift", 16), *(pytest.param(n, None, marks=pytest.mark.slow, id=n) for n in sorted(SCENES))]
 )

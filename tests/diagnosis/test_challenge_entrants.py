@@ -73,6 +73,7 @@ def test_the_oracle_names_what_it_was_told_and_gains_by_it(answered):
     assert np.linalg.norm(tilt[1:]) < 0.1 * tilt[0] and 2 < tilt[0] < 5
 
 
+@pytest.mark.long
 def test_the_oracle_needs_no_refits_of_the_diagnosis(given, answered):
     alone = Given(given.fit, given.transfer, label=LABEL)
     assert entrants()["oracle"].answer(alone) == answered["oracle"]
@@ -165,6 +166,7 @@ def test_probabilities_of_who_has_none():
     assert answer("named", "camera_pose")["verdict"] == "measurement"
 
 
+@pytest.mark.long
 def test_a_case_is_answered_from_its_folders_and_an_error_is_an_answer(given, tmp_path, capsys):
     for part in ("fit", "transfer"):
         write_case(tmp_path / "case" / part, getattr(given, part))

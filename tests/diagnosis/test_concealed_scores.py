@@ -229,6 +229,7 @@ def test_no_gain_ever_speaks_against_its_effect():
     assert c.weights["extra"] <= 0
 
 
+@pytest.mark.long
 def test_each_case_is_decided_by_a_calibration_that_did_not_see_it():
     results, labels = separable(6)
     before = crossed(results, taught(labels))

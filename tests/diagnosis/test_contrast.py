@@ -52,6 +52,7 @@ def test_a_recording_differs_from_itself_by_nothing_whatever_the_twin_gets_wrong
     assert len(forward.layout.time) == len(forward.data) and set(forward.layout.record) == {0}
 
 
+@pytest.mark.long
 def test_an_effect_is_what_it_moves_in_the_recording_that_is_asked(twin, recording):
     # with an effect in the first recording alone, the contrast moves as its own block means do
     one = recording("one")
@@ -102,6 +103,7 @@ def test_beside_one_sound_recording_a_body_is_set_up_anew(twin, recording):
     assert np.cov(draws.T) * 1e6 == pytest.approx(1e6 * told.noise(paths)[0], abs=0.4)  # 4000 draws: 4 standard errors of 3 mm^2 are 0.27
 
 
+@pytest.mark.long
 def test_what_sound_recordings_differ_by_is_drawn_as_well(twin, recording):
     one, others = recording("one"), [recording(name, seed=k) for k, name in enumerate("ab", 1)]
     others[1] = replace(others[1], points=others[1].points + [0, 0, 4e-3])

@@ -12,6 +12,7 @@ from twinbench.diagnosis.inference import controls
 from twinbench.diagnosis.inference.controls import Controls, frozen, main
 
 
+@pytest.mark.long
 def test_p_values_of_two_unlike_statistics_are_uniform():
     random = np.random.default_rng(6)
     draws = np.stack([random.normal(3.0, 0.2, (600, 61)), random.standard_t(3, (600, 61))], 2)

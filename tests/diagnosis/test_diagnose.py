@@ -95,6 +95,7 @@ def test_the_effects_are_those_of_the_interface():
     assert set(MEASUREMENT) == {"controller_delay", "camera_pose", "track_drift", "grip_points"} < set(NAMES)
 
 
+@pytest.mark.long
 def test_the_command_writes_the_interface_and_an_offline_report(folders, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["diagnose", str(folders / "swing"), "--twin", "springs", "--transfer", str(folders / "back"), "--out", str(out)]) == 0
@@ -139,6 +140,7 @@ def asked_once():
     return asked
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("weights", "verdict"),
     [
@@ -167,6 +169,7 @@ def spoiled(scenario, first):
     return replace(scenario, points=points, visible=seen)
 
 
+@pytest.mark.long
 def test_held_out_frames_and_transfer_recordings_are_never_fitted(recordings, named):
     case, other = recordings
     twin = named.result["evidence"]["twin"]
@@ -188,6 +191,7 @@ def test_amplitudes_do_not_depend_on_held_out_frames(recordings, named):
     assert linear(named) == linear(again)
 
 
+@pytest.mark.long
 def test_a_twin_that_was_fitted_on_other_recordings(recordings, named, tiny):
     # the twin comes from recordings without the lean, so the lean of the case is what is left to name
     clean = tiny.concealing(frames=FRAMES, train_end=TRAIN, noise=2e-4, name="calm", rate=0.7)
@@ -200,6 +204,7 @@ def test_a_twin_that_was_fitted_on_other_recordings(recordings, named, tiny):
     assert found.result["evidence"]["twin"] == twinbench.diagnose(case, twin="springs", fitted_on=[clean]).result["evidence"]["twin"]
 
 
+@pytest.mark.long
 def test_a_twin_is_at_ease_where_it_was_fitted_and_not_where_it_runs_astray(tiny):
     clean = tiny.concealing(frames=FRAMES, train_end=TRAIN, noise=2e-4, name="calm", rate=0.7)
     asked = twinbench.diagnose(clean, twin="springs", fitted_on=[clean]).inquiry

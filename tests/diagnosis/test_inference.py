@@ -99,6 +99,7 @@ def test_the_smaller_of_two_p_values_does_not_alarm_too_often(controls):
     assert sum(t.p < 0.1 for t in controls) <= binom.isf(1e-3, 60, 0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("candidates", [3, 40])
 def test_the_best_of_many_candidates_keeps_its_level(candidates):
     from scipy.stats import norm
@@ -297,6 +298,7 @@ def test_the_evidence_of_a_refit_is_that_of_the_linear_effect_where_all_is_norma
     assert found.log_evidence - sound.log_evidence == pytest.approx(linear.log_evidence, abs=1e-3)
 
 
+@pytest.mark.long
 def test_intervals_of_amounts_cover():
     """90 % intervals of an amount, of 100 recordings with errors of their own, none of which another one shares members with.
 
@@ -492,6 +494,7 @@ def test_gains_are_paired():
     assert gained(data, sound, other, np.arange(8) // 2, sound**2).share == pytest.approx(1 - 1.25 / 2)
 
 
+@pytest.mark.long
 def test_what_is_detectable_is_detected():
     world = World(11)
     scatter, _, noisy = world.evidence(world.reference)

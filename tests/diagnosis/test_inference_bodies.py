@@ -87,6 +87,7 @@ def test_members_are_other_bodies_that_run(twin, recording):
     assert forward.cost.runs == 1 + len(runs)
 
 
+@pytest.mark.long
 def test_a_twin_settles_on_the_means_that_are_tested(twin, recording, monkeypatch):
     # from half the modulus and a third of the damping to those that made the recording, within three of its own standard deviations
     unknowns = [Unknown(**u) for u in twin.posterior["unknowns"]]
@@ -136,6 +137,7 @@ def test_a_twin_that_misses_much_is_searched_again_in_larger_cells(twin, recordi
     assert asking.sound_twin([recording], lenient).values["misses"] == 0.3 and tried[5:] == [CONFIG.cells]
 
 
+@pytest.mark.long
 def test_held_out_frames_settle_nothing(twin, recording, monkeypatch):
     monkeypatch.setattr(type(twin.scene.body), "settling", 2)
     points = recording.points.copy()
@@ -262,6 +264,7 @@ def test_one_run_of_an_amount_says_how_much_of_it_shows_elsewhere():
     assert CONFIG.probe == 1.0 and ran == [1, 6, 2]  # the fifth moves too much at what suits the first, the sixth too little
 
 
+@pytest.mark.long
 def test_who_knows_what_is_missing_asks_of_nothing_else(twin, recording):
     forward = Forward.of(twin, [recording], CONFIG)
     paths, reference = forward.reference()

@@ -223,6 +223,7 @@ def test_a_run_fits_phystwin_once_and_says_what_was_added(tilted, monkeypatch, t
     assert [row["note"] for row in rows] == ["nothing added: diagnosed cannot tell"] * 2
 
 
+@pytest.mark.long
 def test_its_fits_depend_on_the_code_and_the_numbers_of_the_diagnosis(tmp_path):
     package = Path(extended.__file__).parents[1]
     for room in ("datasets", "physics", "methods", "diagnosis"):

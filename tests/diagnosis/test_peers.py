@@ -75,12 +75,14 @@ def test_few_points_that_no_hand_drives_are_no_markers(sound):
     assert not is_marked(few, CONFIG) and not Blocks.of(few, config).is_single and is_marked(sound[0], CONFIG)
 
 
+@pytest.mark.long
 def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
     # its natural shape strays as theirs do, which no parameter of the twin takes up
     p = [asked([recording(seed)], CONFIG, fitted_on=sound, twin=twin).answer.test.p for seed in (20, 21, 22)]
     assert min(p) > 0.01 and np.median(p) > 0.05
 
 
+@pytest.mark.long
 def test_numbers_are_the_objects_own(twin, sound):
     # eight times as stiff is one of the prior's standard deviations, which a refit of this recording alone takes up (p 0.13 in 36 frames)
     stiff = recording(20, bending_stiffness=8 * TRUE["bending_stiffness"])
@@ -94,6 +96,7 @@ def test_how_far_recordings_want_numbers_elsewhere():
     np.testing.assert_allclose(_spread(shifts), [np.sqrt(0.05 * 1.25), LEAST, 1.0])
 
 
+@pytest.mark.long
 def test_what_sound_ones_have_not_is_found_and_named(twin, sound):
     found = asked([recording(23, (Wind(),), wind_y=3.0, wind_speed=3.0)], CONFIG, fitted_on=sound, twin=twin)
     assert found.answer.test.p < 1e-3
@@ -102,6 +105,7 @@ def test_what_sound_ones_have_not_is_found_and_named(twin, sound):
     assert found.evidence.from_recordings and found.twin.scene.name == "swing23"
 
 
+@pytest.mark.long
 def test_what_holds_a_cable_is_found_where_it_does(twin, sound):
     # tied to where it was in frame 0 at its sixth marker, one of five that are free
     where = recording(26).points[0, 5]
@@ -113,6 +117,7 @@ def test_what_holds_a_cable_is_found_where_it_does(twin, sound):
     assert np.linalg.norm(np.subtract(held.place, where)) < 0.025  # markers are 88 mm apart, and places between them are tried too
 
 
+@pytest.mark.long
 def test_a_hand_kept_back_is_looked_at_by_the_markers_that_are_free_in_all(twin, sound):
     evidence = compared(twin, recording(24, driven=(0, 1)), sound, CONFIG)
     assert set(evidence.forward.blocks[0].cells % 9) == {2, 3, 4, 5, 6}
@@ -144,6 +149,7 @@ def test_what_cannot_be_compared_is_refused(twin, sound):
         compared(twin, case, [short, *sound[1:]], CONFIG)
 
 
+@pytest.mark.long
 def test_of_markers_that_no_control_knows_nothing_can_be_told(twin, monkeypatch):
     # no frozen cables, no other recording: the analysis is made, what would be detectable is said, and the verdict is neither of two
     monkeypatch.setattr("twinbench.diagnosis.inference.controls._known", lambda: {"config": {"members": 99}, "kinds": {}})
@@ -152,6 +158,7 @@ def test_of_markers_that_no_control_knows_nothing_can_be_told(twin, monkeypatch)
     assert "no stored recordings" in found["why"] and found["test"]["controls"] == 0
 
 
+@pytest.mark.long
 def test_beside_few_sound_recordings_markers_are_asked_by_members(sound):
     # fewer than FEWEST are no sample; the twin is fitted to them alone all the same, and has nothing to say of the recording that is asked
     found = ask([recording(25)], fitted_on=sound[:1], config=CONFIG)
@@ -168,6 +175,7 @@ def test_places_on_a_cable_are_markers_that_follow_each_other():
     assert np.abs(told.controllers - known.controllers).max() < 5 * NOISE
 
 
+@pytest.mark.long
 def test_a_hand_kept_back_is_named(twin, sound, monkeypatch, tmp_path):
     monkeypatch.setattr("twinbench.diagnosis.asking.sound_twin", lambda *given, **options: twin)
     case = recording(24, driven=(0, 1))

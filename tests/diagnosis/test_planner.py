@@ -78,6 +78,7 @@ def nats(fits):
 # ---------------------------------------------------------------- it decides
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("pair", "path"),
     [

@@ -51,6 +51,7 @@ def windy(speed):
     return Reading("wind", "the air moves", wind, np.zeros(2), np.array([0.0, speed, 0.0]))
 
 
+@pytest.mark.long
 def test_equal_twins_are_told_apart_by_no_motion(evidence, few):
     found = plan(evidence, PRIOR, (windy(0.0), NOTHING), replace(CONFIG, planned=1))
     assert found is not None and found.look is None and not found.telling

@@ -77,6 +77,7 @@ def test_examples_keep_the_style(name):
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.long
 def test_method_metric_and_data_set_are_found_and_score(python, tracks):
     listed = python(*CLI, "list", "--data", tracks)
     for name in ("follow", "worst_point", "npz_tracks", "first  ", "transfer from second"):
@@ -109,12 +110,14 @@ def test_the_metric_says_what_its_example_says(python):
     python("-c", "import doctest, twinbench.metrics.worst_point as m; assert doctest.testmod(m).failed == 0 < doctest.testmod(m).attempted")
 
 
+@pytest.mark.long
 def test_the_snippets_run(python, copy):
     assert len(SNIPPETS) == 3
     for block in SNIPPETS:
         python("-c", block)
 
 
+@pytest.mark.long
 def test_the_term_is_a_hypothesis_of_the_diagnosis(python):
     script = (
         "from twinbench.diagnosis.hypotheses import catalogue as c; print([t.effect.name for t in c() if t.name == 'cubic_drag']); "
@@ -123,6 +126,7 @@ def test_the_term_is_a_hypothesis_of_the_diagnosis(python):
     assert python("-c", script).strip() == "['plate_drag']"
 
 
+@pytest.mark.long
 def test_the_tests_of_an_example_can_fail(python, copy):
     # the closed form notices another law
     file = copy / "physics" / "terms" / "cubic_drag.py"

@@ -150,6 +150,7 @@ def test_the_notebook_runs_and_prints_what_it_shows(tmp_path, monkeypatch, capsy
             assert numbers(printed) == pytest.approx(numbers(shown), abs=0.11)  # mm, printed to 0.1
 
 
+@pytest.mark.long
 def test_the_tutorials_method_is_scored(tmp_path):
     for number, name in enumerate(("lag.py", "try.py")):
         (tmp_path / name).write_text(code("tutorials/method.md", number), encoding="utf-8")

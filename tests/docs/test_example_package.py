@@ -83,6 +83,7 @@ def test_each_conforms(twinbench, tracks, name):
     assert "failed" not in said and end.startswith(f"{name}: ") and sum(line.startswith("passed: ") for line in lines) >= 6
 
 
+@pytest.mark.long
 def test_it_is_run_and_cached_and_changing_it_refits_it_alone(twinbench, fresh):
     options = ("run", "--methods", "static", "sway", "--metrics", "chamfer", "worst_track", "--tasks", "prediction", "--out")
     assert "worst_track" in twinbench(*options, "one")
@@ -168,6 +169,7 @@ NO_HYPOTHESIS = {
 }
 
 
+@pytest.mark.long
 def test_a_term_of_another_package_is_a_hypothesis_and_a_broken_one_is_a_warning(fresh):
     (fresh.packages / "broken_terms.py").write_text(BROKEN)
     info = fresh.packages / "broken_terms-2.0.dist-info"

@@ -83,7 +83,7 @@ def test_ci_run_installs_and_tests_as_the_readme_says():
     assert os.access(script, os.X_OK)
     lines = [line.strip() for line in script.read_text().splitlines() if line.strip()]
     assert lines[-1] == INSTALL_AND_TEST  # last: its exit status is the script's
-    assert "set -euo pipefail" in lines
+    assert "set -euo pipefail" in lines and "python -m pytest --long -m long --numprocesses=2 --dist=loadfile" in lines
     subprocess.run(["bash", "-n", str(script)], check=True)
 
 

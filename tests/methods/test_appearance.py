@@ -164,6 +164,7 @@ def test_far_beside_the_image_a_splat_is_as_slanted_as_at_the_margin():
     assert (xx, xy, yy) == pytest.approx((0.36 * (1 + u * u) + 0.3, 0, 0.3025 + 0.3), abs=1e-12)
 
 
+@pytest.mark.long
 def test_gradients_against_central_differences():
     # (L(u + h) - L(u - h)) / 2h in float64, every entry: truncation h^2 and rounding 1e-16 / h lie below 1e-6 of the largest. Pairs on
     # the edge of alpha = 1/255 would jump within h; none of them do for this seed

@@ -20,11 +20,12 @@ FITTED_ANEW = ("a_twin_is_fitted_on_several_recordings_and_stands_in_the_first",
 
 
 def cases():
-    """All methods and checks; of ``continuum+diagnosed``, which fits a sound ``continuum``, what takes further fits is slow."""
+    """All methods and checks. What takes further fits of a ``continuum`` is long, and slow of ``continuum+diagnosed``, which fits one."""
+    marks = {"continuum": [pytest.mark.long], "continuum+diagnosed": [pytest.mark.slow]}
     for name in SUBJECTS:
         for check in CHECKS:
-            slow = name == "continuum+diagnosed" and check.__name__ in FITTED_ANEW
-            yield pytest.param(name, check, id=f"{name}-{check.__name__}", marks=[pytest.mark.slow] if slow else [])
+            own = marks.get(name, []) if check.__name__ in FITTED_ANEW else []
+            yield pytest.param(name, check, id=f"{name}-{check.__name__}", marks=own)
 
 
 def test_what_is_left_to_slow_tests_are_checks_that_there_are():

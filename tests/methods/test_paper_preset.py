@@ -164,6 +164,7 @@ def paper(cases, monkeypatch):
     return cases
 
 
+@pytest.mark.long
 def test_the_preset_says_what_it_will_do_and_compares_what_it_did(paper, capsys):
     assert main(["run", "--preset", "paper", "--metrics", "chamfer", "track_error", "--out", "o"]) == 0
     out, err = capsys.readouterr()
@@ -192,6 +193,7 @@ def test_without_matplotlib_a_sentence_says_why_there_is_no_picture(paper, capsy
     assert {file.suffix for file in Path("o/latest").glob("published.*")} == {".md", ".csv", ".tex"}
 
 
+@pytest.mark.long
 def test_times_are_those_of_the_cache_or_as_measured(paper, monkeypatch):
     asked = dict(preset="paper", metrics="chamfer", scenarios="lift_once", tasks="resimulation")
     (study,) = studies(**asked)

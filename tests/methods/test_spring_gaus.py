@@ -515,6 +515,7 @@ def stability_limit(made, now, hands):
     return np.sqrt(np.linalg.eigvals(stiffness.double().numpy()).real.max()) / made.fps / 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("quirks", [CORRECTED, AS_PUBLISHED])
 def test_a_frame_that_blows_up_is_repeated_with_more_substeps_until_the_cap(quirks):
     one = recording()

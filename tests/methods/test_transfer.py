@@ -135,6 +135,7 @@ def test_nothing_of_a_transferred_body_is_below_the_ground(twin):
     assert structure[:, 2].max() == pytest.approx(0, abs=1e-12) and (structure[:, 2] > -1e-12).sum() > 10
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("quirks", [CORRECTED, AS_PUBLISHED])
 def test_nothing_of_the_target_beyond_frame_0_is_read(source, quirks):
     target = recording("target", 1, (24, 8, 4), way=bent)

@@ -75,6 +75,7 @@ def clouds(draw):
     return made
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(clouds(), st.integers(0, 2**32 - 1), st.booleans())
 def test_brute_force_finds_the_same(systems, seed, double):

@@ -196,6 +196,7 @@ def test_gradcheck_of_torch():
     assert torch.autograd.gradcheck(f, start, eps=1e-6, atol=1e-7, rtol=1e-4)
 
 
+@pytest.mark.long
 def test_a_fit_through_torch_recovers_the_stiffness():
     # a hanging weight's fall is observed; Adam on log Y through the engine finds the Y that made it
     def hanging(stiffness):

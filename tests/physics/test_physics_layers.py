@@ -171,6 +171,7 @@ def numpy_forces(system, x, v):
     return force
 
 
+@pytest.mark.long
 def test_a_step_is_that_of_numpy_and_keeps_momentum():
     # v' = v + dt F / m; forces on the four nodes sum to none and turn nothing, weights being those of places on one line of action
     system = crumpled(4)
@@ -321,6 +322,7 @@ def test_a_coil_is_pulled_open():
     assert np.ptp(kept[-1][:, 2]) == pytest.approx(length, rel=0.05)  # it hangs straight, longer by 1.5 % (1.8 N / 60 N / 2)
 
 
+@pytest.mark.long
 def test_the_step_does_not_shrink():
     # with contact at half of the mesh's highest frequency, a cloth on itself takes the substeps that it takes alone: half of the stable
     points, flat, triangles = folded(4.0)
@@ -334,6 +336,7 @@ def test_the_step_does_not_shrink():
 # ---------------------------------------------------------------- in the engine
 
 
+@pytest.mark.long
 def test_gradients():
     # in float64 against central differences, below 1e-4 of the largest (``check``), layers and strands touching
     batch = Batch([stacked(LayerContact, seed=seed) for seed in (0, 1)], fps=30, substeps=50, double=True, workers=1)

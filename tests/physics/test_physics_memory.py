@@ -172,6 +172,7 @@ def test_friction_of_the_material_goes_to_its_limit_over_its_strain(dt):
     np.testing.assert_allclose(z[-1], -1 + (1 + top) * np.exp(-0.02 / width), rtol=0, atol=0.01)  # one of 200 strains late
 
 
+@pytest.mark.long
 def test_a_cycle_takes_the_same_work_at_every_speed():
     # tension a Y z around e0 sin: for e0 >> e_h the loop is the rectangle 2 a Y x 2 e0 less rounded corners of 2 a Y e_h (1 - ...) each
     limit, width, e0, work = 0.03, 0.004, 0.04, []

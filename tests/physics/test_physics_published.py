@@ -200,6 +200,7 @@ def engine(system, *, double, frames=FRAMES):
     return Batch([system], fps=30, substeps=SUBSTEPS, dt=DT, double=double, workers=1).rollout(frames).positions[0].numpy()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [n if n == "everything" else pytest.param(n, marks=pytest.mark.slow) for n in SMOOTH])
 def test_single_precision_agrees_with_the_transcription(name, references):
     system, expected = references(name)
@@ -208,6 +209,7 @@ def test_single_precision_agrees_with_the_transcription(name, references):
     assert np.abs(found - expected).max() < 1e-5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_double_precision_agrees_with_the_transcription_to_rounding(name, references):
     system, expected = references(name)

@@ -37,6 +37,7 @@ def stepped(live, path):
     return np.stack(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SUBJECTS)
 def test_steps_along_a_path_are_the_roll_out_along_it_to_the_last_bit(name):
     try:

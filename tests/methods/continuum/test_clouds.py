@@ -169,6 +169,7 @@ def lifted():
     return recording(clouds, **said), path
 
 
+@pytest.mark.long
 def test_rigidity_and_frame_rate_are_told_by_clouds(lifted):
     # points drawn anew in each frame, 0.5 mm of noise; at the other rate a fall
     # is off by a third, which nothing else makes up for

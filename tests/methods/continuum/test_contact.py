@@ -73,6 +73,7 @@ def test_it_is_on_where_a_sheet_is_folded(body):
     assert not Solid.thickness and not Solid.is_folded
 
 
+@pytest.mark.long
 def test_layers_of_a_folded_cloth_stay_apart_and_are_counted(body):
     # a second: with contact layers rest within half a thickness of touching, without it they fall into each other, and both are said
     recording, one = body
@@ -103,6 +104,7 @@ def test_it_is_kept_and_goes_along(body, tmp_path):
     assert not replace(twin, scene=replace(twin.scene, contact=False)).retarget(recording).scene.contact
 
 
+@pytest.mark.long
 def test_a_fit_says_how_layers_met():
     recording = recorded(*[folded(0.02 * k) for k in range(4)], folded(0.6), folded(1.2))
     config = Config(starts=1, iterations=1, refinement=0, members=0, coarse=1.5, start="rest", grips=False, frames=4)

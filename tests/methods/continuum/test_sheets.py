@@ -184,6 +184,7 @@ def test_a_bar_that_holds_farther_out_does_so_at_the_other_end(truth):
     assert found["grip0_shift_x"] == pytest.approx(0.004, abs=3e-4) and abs(found["grip0_shift_y"]) < 5e-4
 
 
+@pytest.mark.long
 def test_what_was_simulated_is_fitted(truth):
     # on the mesh that it was made on, from 0.5 mm of noise on 336 tracks in 16 frames: within a tenth, though four other numbers are free
     recording, scene, _ = truth

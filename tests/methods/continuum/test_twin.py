@@ -43,6 +43,7 @@ def test_runs_of_a_batch_are_those_of_single_ones(truth):
     assert np.abs(together[0] - together[1]).max() > 1e-3 and np.abs(together[0] - together[2]).max() > 1e-3
 
 
+@pytest.mark.long
 def test_stiffness_and_damping_come_back(truth):
     # data by the twin's own engine and mesh: what is fitted is what made them, within four of the stated standard deviations and 10 %
     recording, scene = truth
