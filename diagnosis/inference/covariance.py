@@ -100,6 +100,10 @@ class Scatter:
         scale = self.expected(prior) + self.noise + (self.slopes @ self.slopes.T if parameters else 0.0)
         return Likelihood.of(scale, prior.strength + len(self.left))
 
+    def left_out(self, prior: Prior, *, parameters: bool = True) -> list[Likelihood]:
+        """Of each member, as the others tell it."""
+        return [self.without(k).likelihood(prior, parameters=parameters) for k in range(len(self.left))]
+
     def expected(self, prior: Prior) -> np.ndarray:
         """(B, B) m^2, scale of a sound twin's error."""
         return self.error(prior, self.layout.kernel(prior.memory, prior.reach), self.layout.kernel(SMOOTH_TIME, SMOOTH_REACH))

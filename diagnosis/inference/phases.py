@@ -189,10 +189,10 @@ def weighed(
     fitting = scatter.only(rows).likelihood(prior, parameters=False)
     common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
     sound = refitted(*common, None, config)
-    members = [(scatter.without(k).only(rows).likelihood(prior, parameters=False), one[rows]) for k, one in enumerate(e.noisy)]
     alarm = found.alarms(config)
     likely, tried, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
     asked = list(likely)[: config.refitted] if alarm and refits else []
+    members = list(zip(scatter.only(rows).left_out(prior, parameters=False), e.noisy[:, rows], strict=True)) if asked else []
     while asked:
         for name in asked:
             for k in likely[name]:

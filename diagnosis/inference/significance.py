@@ -95,7 +95,7 @@ def significance(
     asked = [fitted_rows(s, rows) for s in catalogue]
     likelihood = scatter.likelihood(prior)
     found = scores(likelihood, residual, asked)
-    left_out = [scatter.without(k).likelihood(prior) for k in range(len(noisy))]
+    left_out = scatter.left_out(prior)
     misfit, misfits = _misfits(scatter, prior, residual, noisy)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
     largest = _largest(found)
@@ -125,7 +125,7 @@ def left_of(residual, motion) -> float:
 
 def _misfits(scatter: Scatter, prior: Prior, residual, noisy) -> tuple[float, list[float]]:
     """Mean whitened squares of the recordings, and of each member weighed without itself."""
-    left_out = [scatter.without(k).likelihood(prior) for k in range(len(noisy))]
+    left_out = scatter.left_out(prior)
     size = len(residual)
     own = scatter.likelihood(prior).misfit(residual) / size
     return own, [one.misfit(row) / size for one, row in zip(left_out, noisy, strict=True)]

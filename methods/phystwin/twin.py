@@ -30,7 +30,7 @@ class PhysTwinTwin(Twin):
     config: Config
     device: str = "cpu"
     transferred: bool = False
-    latest: Latest = field(default_factory=Latest, init=False, repr=False, compare=False)
+    latest: Latest[Batch] = field(default_factory=Latest, init=False, repr=False, compare=False)
 
     def rollout(self, controllers: np.ndarray) -> Trajectory:
         controllers = np.asarray(controllers, float)

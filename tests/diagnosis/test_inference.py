@@ -311,7 +311,7 @@ def test_intervals_of_amounts_cover():
         twins = Bent(world, one.columns[:, 0], bend=0.0)
         scatter, _, noisy = world.evidence(world.reference)
         data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=2.0)])[0] + world.sound(1)[0] - world.reference + world.noise()
-        sound = [(scatter.without(k).likelihood(PRIOR, parameters=False), row) for k, row in enumerate(noisy)]
+        sound = list(zip(scatter.left_out(PRIOR, parameters=False), noisy, strict=True))
         given = (twins, data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE), one)
         found = [refitted(*given, DiagnosisConfig(), *more) for more in ((), (sound,))]
         inside.append([abs(f.amounts[0] - 2.0) < w * f.sd[0] for f, w in zip(found, (1.645, wide), strict=True)])

@@ -13,9 +13,9 @@ from twinbench.methods.static import Static
 SUBJECTS = {name: Subject(found) for name, found in sorted(methods().items())}
 
 
-FITTED_ANEW = ("a_twin_is_fitted_on_several_recordings_and_stands_in_the_first", "held_out_frames_do_not_matter") + (
-    "train_frames_matter",
-    "the_same_seed_gives_the_same_bits",
+FITTED_ANEW = (
+    *("a_twin_is_fitted_on_several_recordings_and_stands_in_the_first", "held_out_frames_do_not_matter"),
+    *("train_frames_matter", "the_same_seed_gives_the_same_bits"),
 )
 
 
