@@ -187,8 +187,8 @@ def _judged(
     fitted, data = base.scatter.layout.fitted, base.forward.data
     whole, found = np.flatnonzero(fitted), tested(own, config)
     others = np.flatnonzero(own.scatter.layout.fitted & ~there)
-    usual = base.scatter.only(whole).likelihood(prior).log_density(base.residual[whole])
-    likelier = own.scatter.only(others).likelihood(found.prior).log_density(own.residual[others])
+    usual = base.scatter.only(whole).likelihood(prior).log_density(base.residual[whole], guarded=True)
+    likelier = own.scatter.only(others).likelihood(found.prior).log_density(own.residual[others], guarded=True)
     anywhere = float(norm.logpdf(base.forward.motion[fitted & here], scale=1e-3 * config.roaming).sum())
     prediction, blocks = base.reference.copy(), base.forward.blocks[0]
     prediction[base.scatter.layout.record == 0] = blocks.means(own.forward.reference()[0][0][None])[0]

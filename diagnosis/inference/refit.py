@@ -117,7 +117,7 @@ def refitted(
     def place(numbers, prediction):
         if not np.isfinite(prediction).all():
             return _Place(numbers, prediction, np.inf)
-        return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows]))
+        return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows], guarded=True))
 
     at, jacobian, fresh = place(np.zeros(len(low)), reference), slopes, False
     held = np.arange(len(low)) >= len(low) - forms
@@ -176,10 +176,10 @@ def _one_sided(signature, amounts, deviations) -> float:
 
 
 def _normal(likelihood, residual, ways):
-    """((n, n) curvature of the negative log posterior, in prior standard deviations: Gauss and Newton's, by a Student t's weight; (n,) its
-    fall by what of ``residual`` (b,) m the slopes ``ways`` (b, n) explain)."""
+    """((n, n) curvature of the negative log posterior, in prior standard deviations: Gauss and Newton's, by a guarded Student t's weight;
+    (n,) its fall by what of ``residual`` (b,) m the slopes ``ways`` (b, n) explain)."""
     white, ways = likelihood.whitened(residual), likelihood.whitened(ways)
-    weight = (likelihood.degrees + len(white)) / (likelihood.degrees + white @ white)
+    weight = likelihood.weight(float(white @ white), len(white))
     return weight * ways.T @ ways + np.eye(ways.shape[1]), weight * ways.T @ white
 
 

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.stats import binom, chi2, kstest, multivariate_t
+from scipy.integrate import quad
+from scipy.stats import binom, chi2, invgamma, kstest, multivariate_t
 from scipy.stats import t as student_t
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import Amount, Candidate, Effect, effects
@@ -240,7 +241,45 @@ def test_the_evidence_of_a_linear_effect_is_that_of_a_wider_covariance():
     x, scale = random.normal(size=6), root @ root.T
     wider = Likelihood.of(scale + (s * spread**2) @ s.T, 7.0)
     own = Likelihood.of(scale, 7.0)
-    assert log_gain(own.whitened(x), own.whitened(s * spread), 7.0) == pytest.approx(wider.log_density(x) - own.log_density(x))
+    likelier = wider.log_density(x, guarded=True) - own.log_density(x, guarded=True)
+    assert log_gain(own.whitened(x), own.whitened(s * spread), 7.0) == pytest.approx(likelier)
+
+
+@pytest.mark.parametrize("size, degrees, misfit", [(5, 6.0, 3.0), (200, 14.0, 20.0), (230, 14.0, 600.0)])
+def test_a_guarded_density_is_that_of_scales_of_one_and_more(size, degrees, misfit):
+    # integral over s >= 1 of N(x; 0, s) and an inverse gamma distribution; its fall by the misfit is half of the expected 1 / s
+    own = Likelihood.of(np.eye(size), degrees)
+
+    def mixed(square, power=0):
+        def part(u):  # s = exp(u); what is largest is taken out
+            return np.exp(
+                u + invgamma.logpdf(np.exp(u), degrees / 2, scale=degrees / 2) - (size / 2 + power) * u - square / 2 * np.expm1(-u)
+            )
+
+        whole = quad(part, 0, 12, limit=500, points=(0.05, 0.3, 1.0, 3.0))[0]
+        return np.log(whole) - square / 2 - size / 2 * np.log(2 * np.pi) - invgamma.logsf(1, degrees / 2, scale=degrees / 2)
+
+    x = np.full(size, np.sqrt(misfit / size))
+    assert own.log_density(x, guarded=True) == pytest.approx(mixed(misfit), abs=1e-6)
+    assert own.weight(misfit, size) == pytest.approx(np.exp(mixed(misfit, 1) - mixed(misfit)), rel=1e-6)
+
+
+def test_a_guard_holds_where_the_gamma_function_is_below_what_a_double_can_be():
+    # n numbers of no misfit: x = 0 has the density of s = 1 as n grows, (2 pi)^(-n / 2), but for what changes as log n does
+    logs = [Likelihood.of(np.eye(n), 14.0).log_density(np.zeros(n), guarded=True) + n / 2 * np.log(2 * np.pi) for n in (2000, 4000)]
+    assert np.isfinite(logs).all() and logs[0] - logs[1] == pytest.approx(np.log(2), rel=0.02)
+
+
+def test_what_members_get_of_an_effect_by_chance_is_no_evidence_on_average():
+    # of x ~ C with a white floor far above what it really is: the mean Bayes factor of effects is 1 or less, while the plain t's is huge
+    random = np.random.default_rng(3)
+    smooth = np.cumsum(random.normal(size=(60, 60)), 0) / 8  # errors that fade slowly: what effects look like too
+    own = Likelihood.of(smooth @ smooth.T + 4.0 * np.eye(60), 14.0)
+    errors, ways = smooth @ random.normal(size=(60, 400)), np.cumsum(random.normal(size=(60, 30)), 0)
+    white = own.whitened(errors).T
+    assert np.mean(np.sum(white**2, 1)) < 20  # of 60
+    logs = np.array([[log_gain(x, own.whitened(way[:, None]), own.degrees) for way in ways.T] for x in white])
+    assert np.exp(logs).mean() <= 1.0
 
 
 class Bent:
