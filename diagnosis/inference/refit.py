@@ -19,7 +19,7 @@ from .slopes import corrected
 
 __all__ = ["Gain", "Refit", "gained", "refitted"]
 
-TRIALS = (1.0, 0.4, 0.1)  # of a Gauss-Newton step, one after the other until one is better
+TRIALS = (1.0, 0.4, 0.1, 0.03)  # of a Gauss-Newton step, one after the other until one is better: what swings falls elsewhere beyond
 TRUSTED = 0.2  # of what slopes promised: a step that gains less says that they are those of elsewhere
 FARTHEST = 3.0  # prior standard deviations that a place or a shape may be astray
 DIFFERENCE = 0.05  # prior standard deviations
