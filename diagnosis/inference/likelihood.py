@@ -50,8 +50,9 @@ class Likelihood:
         n, d, misfit = len(residual), self.degrees, self.misfit(residual)
         half = np.log(np.diag(self.factor)).sum()
         constant = gammaln((d + n) / 2) - gammaln(d / 2) - n / 2 * np.log(d * np.pi) - half
-        plain = float(constant - (d + n) / 2 * np.log1p(misfit / d))
-        return plain + _log_wider(misfit, n, d) - _log_wider(0.0, 0, d) if guarded else plain
+        if guarded:
+            return float(constant + _log_guarded(misfit, n, d) - _log_wider(0.0, 0, d))
+        return float(constant + _log_plain(misfit, n, d))
 
     def weight(self, misfit: float, count: int) -> float:
         """Expected 1 / s of a guarded density where ``count`` numbers have such a ``misfit``: twice its fall by the misfit, 1 at most."""
@@ -60,6 +61,14 @@ class Likelihood:
         a, x = (self.degrees + count) / 2, (self.degrees + misfit) / 2
         edge = (a - 1) * np.log(x) - x - gammaln(a) - _log_wider(misfit, count, self.degrees)
         return float(a / x - np.exp(edge))
+
+
+def _log_plain(misfit: float, count: int, degrees: float) -> float:
+    return -(degrees + count) / 2 * np.log1p(misfit / degrees)
+
+
+def _log_guarded(misfit: float, count: int, degrees: float) -> float:
+    return _log_plain(misfit, count, degrees) + _log_wider(misfit, count, degrees)
 
 
 def _log_wider(misfit: float, count: int, degrees: float) -> float:
@@ -82,13 +91,12 @@ def log_gain(white, ways, degrees: float) -> float:
     """What a whitened residual (B,) is likelier by, as a logarithm, if a standard normal multiple of each of ``ways`` (B, m) is in it.
 
     The Bayes factor of a linear effect with a normal prior over none, guarded: of a normal distribution with a common scale s >= 1 the
-    covariance grows from s to s (1 + W W'), by the matrix determinant lemma. Of members, each weighed by the others, its mean is 1 or less;
-    without the guard it was exp(5) to exp(22) on ropes (results/inference.md).
+    covariance grows from s to s (1 + W W'), by the matrix determinant lemma. Its mean over members of a rope, each weighed by the others,
+    is mostly below 1, as it should be, and was exp(5) to exp(22) without the guard (results/inference.md).
     """
     grown = np.eye(ways.shape[1]) + ways.T @ ways
     explained = ways.T @ white
     before, count = float(white @ white), len(white)
     after = before - float(explained @ np.linalg.solve(grown, explained))
-    plain = (degrees + count) / 2 * (np.log1p(before / degrees) - np.log1p(after / degrees))
-    guard = _log_wider(after, count, degrees) - _log_wider(before, count, degrees)
-    return float(plain + guard - np.linalg.slogdet(grown)[1] / 2)
+    likelier = _log_guarded(after, count, degrees) - _log_guarded(before, count, degrees)
+    return float(likelier - np.linalg.slogdet(grown)[1] / 2)
