@@ -90,13 +90,16 @@ def significance(
     controls      frozen sound recordings of the kind, or None
     """
     rows, away = np.flatnonzero(scatter.layout.fitted), np.flatnonzero(~scatter.layout.fitted)
-    p_held_out = predictive(*_misfits(scatter.only(away), prior, residual[away], noisy[:, away]))[0] if len(away) else 1.0
-    scatter, residual, noisy = scatter.only(rows), residual[rows], noisy[:, rows]
+    held_out, scatter = scatter.only(away), scatter.only(rows)
+    p_held_out = 1.0
+    if len(away):
+        p_held_out, _ = predictive(*_misfits(held_out.likelihood(prior), held_out.left_out(prior), residual[away], noisy[:, away]))
+    residual, noisy = residual[rows], noisy[:, rows]
     asked = [fitted_rows(s, rows) for s in catalogue]
     likelihood = scatter.likelihood(prior)
     found = scores(likelihood, residual, asked)
     left_out = scatter.left_out(prior)
-    misfit, misfits = _misfits(scatter, prior, residual, noisy)
+    misfit, misfits = _misfits(likelihood, left_out, residual, noisy)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
     largest = _largest(found)
     (p_misfit, over_misfit), (p_scan, over_scan) = predictive(misfit, misfits), predictive(largest, largests)
@@ -123,12 +126,10 @@ def left_of(residual, motion) -> float:
     return float(np.log(left / moved))
 
 
-def _misfits(scatter: Scatter, prior: Prior, residual, noisy) -> tuple[float, list[float]]:
-    """Mean whitened squares of the recordings, and of each member weighed without itself."""
-    left_out = scatter.left_out(prior)
+def _misfits(likelihood: Likelihood, left_out: Sequence[Likelihood], residual, noisy) -> tuple[float, list[float]]:
+    """Mean whitened squares of the recordings, and of each member by the ``left_out`` others."""
     size = len(residual)
-    own = scatter.likelihood(prior).misfit(residual) / size
-    return own, [one.misfit(row) / size for one, row in zip(left_out, noisy, strict=True)]
+    return likelihood.misfit(residual) / size, [one.misfit(row) / size for one, row in zip(left_out, noisy, strict=True)]
 
 
 def _largest(found: Sequence[Score]) -> float:

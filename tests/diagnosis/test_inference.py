@@ -590,7 +590,8 @@ def test_a_name_must_leave_as_little_as_sound_twins_do():
     draws = random.normal(0, 1e-3, (20, SIZE))
 
     def left(scatter, members, residuals, controls=None):
-        test = SimpleNamespace(misfits=_misfits(scatter, prior, members[0], members)[1], controls=controls)
+        misfits = _misfits(scatter.likelihood(prior), scatter.left_out(prior), members[0], members)[1]
+        test = SimpleNamespace(misfits=misfits, controls=controls)
         return np.array([unexplained(test, scatter.likelihood(prior), one, motion) for one in residuals])
 
     usual, thrice = (left(scatter, members, k * draws) for k in (1, 3))
