@@ -27,13 +27,16 @@ from .native import WARP
 from .outside import assemble_points
 from .resident import engine_for
 from .sheets import assemble_sheets
+from .side_by_side import COMPILER, launch
 from .stability import stable_rounds, stable_substeps
 from .system import System
+from .terms.stages import SHEETS
 
 __all__ = ["Batch", "Carried", "Inputs", "Rollout", "first_bad"]
 
 FAR = 1e3  # m: a particle this far from the origin has left any room; the roll-out counts as diverged
 HISTORY_BYTES = 1 << 30  # memory that the states of one stretch may take on the way back
+ONE_BLOCK = 1024  # nodes of a rope, sheet or solid that one block of a GPU steps
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,7 @@ class Batch:
         self.remembering = bool(self.laws.stage("strand"))
         self.filled, self.easing = bool(self.laws.stage("solid")), bool(self.laws.stage("viscous"))
         self.touching, self.pointed = bool(self.laws.stage("touch")), _have_points(systems, self.laws)
-        self.layered = bool(self.laws.stage("layer"))
+        self.layered, self.draped = bool(self.laws.stage("layer")), any(self.laws.stage(s) for s in SHEETS)
         self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
         if self.easing and self.colliding:
             raise ValueError("a system can have terms of the stage 'viscous' or of the stage 'contact', got both")
@@ -117,9 +120,10 @@ class Batch:
         self.arrays: dict[str, wp.array] | None = None  # Warp's of the constants, once somebody needs them
         self._assemble()
         # (blocks per system, threads per block, lanes per particle); a CPU team is one thread
-        self._team = (1, 1, 1) if not cuda else team or _cuda_team(self.device, len(systems), self.node_count / len(systems))
+        self._team = (1, 1, 1) if not cuda else team or self._cuda_team()
         self.alone = not cuda  # a team is one thread
-        self.kernels = build(self.laws, double, self.alone, self._team[2], self._team[1], self.pointed)
+        with COMPILER:
+            self.kernels = build(self.laws, double, self.alone, self._team[2], self._team[1], self.pointed)
         self._workers = 1 if cuda else max(1, min(len(systems), workers or threads()))
         if self.twisting:
             self.inputs.directors = settled(self, self.inputs)
@@ -327,6 +331,24 @@ class Batch:
         out, x, v, *carried = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
         return (out, x, v, Carried(*carried)) if whole else (out, x, v)
 
+    def _cuda_team(self) -> tuple[int, int, int]:
+        """(blocks per system, threads per block, lanes per particle) with all blocks resident, found by measurement on an H200.
+
+        A net of springs spreads over its share of the chip: many lanes while there are threads to spare, few and full blocks where a system
+        has few processors. A rope, a sheet or a solid of moderate size stays in one block, whose threads wait for each other sooner than
+        blocks do, and beside which others run: its particles have few springs, so that further lanes would have nothing to do.
+        """
+        systems, nodes = len(self.systems), self.node_count / len(self.systems)
+        if nodes <= ONE_BLOCK and len(self.ends) <= self.node_count and (self.hinged or self.filled or self.draped):
+            return (1, 128, 2) if nodes <= ONE_BLOCK / 4 else (1, 256, 4)
+        chip = torch.cuda.get_device_properties(self.device).multi_processor_count
+        share = max(1, chip // systems)
+        threads, least = (1024, 4) if share <= 4 else (512, 8)
+        lanes = int(np.clip(2 ** np.floor(np.log2(max(1.0, share * threads / nodes))), least, 32))
+        if nodes * lanes < share * threads // 2:
+            threads = 256
+        return int(np.clip(np.ceil(nodes * lanes / threads), 1, share)), threads, lanes
+
     def _asks_back(self, inputs):
         return torch.is_grad_enabled() and any(getattr(inputs, f.name).requires_grad for f in fields(Inputs))
 
@@ -410,12 +432,11 @@ class Batch:
         def go(first, last):
             head = [c.struct for c in carriers] + [int(first), blocks]
             dim = (int(last - first) * blocks, threads)
-            wp.launch(kernel, dim=dim, inputs=[*head, *tail], device=self._device, block_dim=threads)
+            launch(kernel, dim=dim, inputs=[*head, *tail], device=self._device, block_dim=threads, waiting=blocks > 1)
 
         if self._workers == 1:
             go(0, len(self.systems))
             return
-        kernel.module.load(wp.get_device(self._device), block_dim=threads)
         cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
         with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
             list(pool.map(go, cuts[:-1], cuts[1:]))
@@ -477,17 +498,3 @@ def first_bad(positions):
     """First frame of (F, M, 3) with a non-finite or far coordinate, or -1."""
     bad = ~(positions.abs() < FAR).flatten(1).all(1)
     return int(bad.nonzero()[0]) if bool(bad.any()) else -1
-
-
-def _cuda_team(device, systems, nodes):
-    """(blocks per system, threads per block, lanes per particle) with all blocks resident: a team spreads over its share of the chip.
-
-    Found by measurement on an H200: many lanes while there are threads to spare, few and full blocks where a system has few processors.
-    """
-    chip = torch.cuda.get_device_properties(device).multi_processor_count
-    share = max(1, chip // systems)
-    threads, least = (1024, 4) if share <= 4 else (512, 8)
-    lanes = int(np.clip(2 ** np.floor(np.log2(max(1.0, share * threads / nodes))), least, 32))
-    if nodes * lanes < share * threads // 2:
-        threads = 256
-    return int(np.clip(np.ceil(nodes * lanes / threads), 1, share)), threads, lanes

@@ -23,6 +23,8 @@ import numpy as np
 import torch
 import warp as wp
 
+from .side_by_side import COMPILER, launch
+
 __all__ = ["candidates", "seek"]
 
 FARTHEST = wp.constant(wp.float64(2.0**30))  # contact distances from the origin: a system with a particle beyond, or not finite, is skipped
@@ -43,15 +45,16 @@ def candidates(batch, x: torch.Tensor, table: torch.Tensor) -> tuple[torch.Tenso
 
 def seek(batch, x: torch.Tensor, table: torch.Tensor) -> Callable[[], tuple[torch.Tensor, torch.Tensor]]:
     """Begin to look for what ``candidates`` returns; what is returned here waits for the device and returns it."""
-    kernels, count = _kernels(batch.kernels.vec, batch.kernels.real), batch.node_count
+    with COMPILER:
+        kernels, count = _kernels(batch.kernels.vec, batch.kernels.real), batch.node_count
     world = _world(batch, kernels, x.detach().contiguous(), table.detach().contiguous())
 
-    def launch(kernel, *lists):
-        wp.launch(kernel, dim=count, inputs=[world, *lists], device=batch._device)
+    def go(kernel, *lists):
+        launch(kernel, dim=count, inputs=[world, *lists], device=batch._device)
 
-    launch(kernels.check)
-    launch(kernels.file)
-    launch(kernels.count)
+    go(kernels.check)
+    go(kernels.file)
+    go(kernels.count)
     ends = torch.cumsum(wp.to_torch(world.count), 0, dtype=torch.int64)
     row = torch.zeros(count + 1, dtype=torch.int32, device=batch.device)
     row[1:] = ends
@@ -64,7 +67,7 @@ def seek(batch, x: torch.Tensor, table: torch.Tensor) -> Callable[[], tuple[torc
             )
         near = torch.empty(total, dtype=torch.int32, device=batch.device)
         if total:
-            launch(kernels.fill, wp.from_torch(row), wp.from_torch(near))
+            go(kernels.fill, wp.from_torch(row), wp.from_torch(near))
         return row, near
 
     return found

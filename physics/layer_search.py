@@ -24,6 +24,7 @@ import warp as wp
 
 from .hinges import incidence
 from .layers import ACCELERATION, CARRIED, nearest_places
+from .side_by_side import COMPILER, launch
 from .terms.stages import STAGES
 
 __all__ = ["SEARCH", "Pairs", "seek_layers"]
@@ -60,12 +61,13 @@ class Pairs(SimpleNamespace):
 
 def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, horizon: torch.Tensor) -> Pairs:
     """The pairs that may meet within ``horizon`` (B,) [s] of (x, v) (nodes, 3) [m, m/s]; ``table`` (B, columns) parameters."""
-    kernels, known = _kernels(batch.kernels.vec, batch.kernels.four, batch.kernels.real), batch.layers
+    with COMPILER:
+        kernels, known = _kernels(batch.kernels.vec, batch.kernels.four, batch.kernels.real), batch.layers
     if not (count := len(known["layer_item"])):
         return Pairs.none(batch)
     world = _world(batch, kernels, x, v, table, horizon)
     for kernel, size in ((kernels.enclose, count), (kernels.gather, len(known["layer_group"])), (kernels.count, count)):
-        wp.launch(kernel, dim=size, inputs=[world], device=batch._device)
+        launch(kernel, dim=size, inputs=[world], device=batch._device)
     ends = torch.cumsum(wp.to_torch(world.found), 0, dtype=torch.int64)
     row = torch.zeros(count + 1, dtype=torch.int32, device=batch.device)
     row[1:] = ends
@@ -76,7 +78,7 @@ def seek_layers(batch, x: torch.Tensor, v: torch.Tensor, table: torch.Tensor, ho
     found.pair = torch.empty((total, 4), dtype=torch.int32, device=batch.device)
     found.pair_edges = torch.empty(total, dtype=torch.int32, device=batch.device)
     outs = [wp.from_torch(t) for t in (row, found.pair, found.pair_edges)]
-    wp.launch(kernels.fill, dim=count, inputs=[world, *outs], device=batch._device)
+    launch(kernels.fill, dim=count, inputs=[world, *outs], device=batch._device)
     found.pair_load = CARRIED * batch.layers["layer_mass"][found.pair.long()].amin(1)
     return found if batch.alone else found.placed(batch.node_count)
 
@@ -101,12 +103,14 @@ def _world(batch, kernels, x, v, table, horizon):
             setattr(world, name.removeprefix("layer_"), wp.from_torch(known[name]))
         world.column = sum(batch.laws.width(s) for s in STAGES[: STAGES.index("layer")])
         count = max(1, len(known["layer_item"]))
-        world.low, world.high = (wp.empty(count, dtype=vec, device=batch._device) for _ in range(2))
-        world.found = wp.zeros(count, dtype=wp.int32, device=batch._device)
-        world.reach = wp.empty(count, dtype=batch.kernels.real, device=batch._device)
-        world.first_found = wp.empty((count, KEPT), dtype=wp.int32, device=batch._device)
         groups = max(1, len(known["layer_group"]))
-        world.lowest, world.highest = (wp.empty(groups, dtype=vec, device=batch._device) for _ in range(2))
+        world.low, world.high, world.lowest, world.highest = (
+            wp.from_torch(torch.empty((n, 3), dtype=x.dtype, device=x.device), dtype=vec) for n in (count, count, groups, groups)
+        )
+        world.found, world.first_found = (
+            wp.from_torch(torch.zeros(shape, dtype=torch.int32, device=x.device)) for shape in ((count,), (count, KEPT))
+        )
+        world.reach = wp.from_torch(torch.empty(count, dtype=x.dtype, device=x.device))
         batch.layer_scratch.world, batch.layer_scratch.sizes = world, torch.bincount(batch.system_of)[:, None]
     world = batch.layer_scratch.world
     world.x, world.v = (wp.from_torch(t.detach().contiguous(), dtype=vec) for t in (x, v))

@@ -8,7 +8,8 @@ out flat, whose linear interpolant is folded by these angles. So a constant curv
 stiffness at each edge, as in Grinspun et al., "Discrete shells", 2003, depends on how the mesh lies; ``results/continuum.md`` has the
 figures. On a lattice this is their shape operator averaged over a triangle: Grinspun et al., "Computing discrete shape operators on general
 meshes", 2006.) Along the rim fewer angles are known: there the curvature is that of the neighbours inside, or that of least energy where
-there are none.
+there are none. Neighbours also stand for a triangle whose six points lie nearly on a conic, which its angles tell badly: measured by these
+it would be many times as stiff as the rest, and all of the sheet would be stepped for its sake.
 
 Symmetric tensors in a triangle's plane are written (11, 22, 12), as vectors of three.
 """
@@ -27,6 +28,7 @@ __all__ = ["Sheet", "assemble_sheets", "fold_angles", "fold_gradients", "interna
 
 TWICE = np.array([1.0, 1.0, 2.0])  # how often a component counts in the work
 UNCLEAR = 30.0  # condition of three angles as a measure of curvature, beyond which the angles are averaged: nearly all on one conic
+CLEAR = 5.0  # and up to which they are taken by themselves: it is 1.8 in the middle triangle of a random mesh, and more in one of 600
 FLAT = 1e-12  # m^2: less than a face
 
 
@@ -84,14 +86,14 @@ class Sheet:
                          for t in self.triangles.tolist()])  # fmt: skip
 
     @cached_property
-    def curving(self) -> np.ndarray:
-        """(F, 3, 3) 1/m: curvature (11, 22, 12) in a triangle's plane per angle of each of its sides."""
+    def _measures(self) -> tuple[np.ndarray, np.ndarray]:
+        """((F, 3, 3) ``curving``, (F,) whether three angles tell a triangle's curvature well)."""
         across = {(h, t): o for h, (_a, _b, left, right) in enumerate(self.folds.tolist()) for t, o in ((left, right), (right, left))}
         length = {}
         for t, c in zip(self.triangles.tolist(), self.corners, strict=True):
             for k in range(3):
                 length[frozenset((t[k], t[k - 2])), frozenset(t)] = np.linalg.norm(c[k] - c[k - 2])
-        found = np.zeros((len(self.triangles), 3, 3))
+        found, clear = np.zeros((len(self.triangles), 3, 3)), np.zeros(len(self.triangles), bool)
         for f, (t, sides) in enumerate(zip(self.triangles.tolist(), self.sides.tolist(), strict=True)):
             beyond = [None] * 3
             for k, h in enumerate(sides):
@@ -100,20 +102,29 @@ class Sheet:
                     face = frozenset((a, b, o))
                     pair = [length[frozenset((end, o)), face] for end in (a, b)]
                     beyond[k] = _beyond(self.corners[f, k - 2], self.corners[f, k - 1], *pair)
-            found[f] = _curving(self.corners[f], beyond)
-        return found
+            found[f], clear[f] = _curving(self.corners[f], beyond)
+        return found, clear
+
+    @property
+    def curving(self) -> np.ndarray:
+        """(F, 3, 3) 1/m: curvature (11, 22, 12) in a triangle's plane per angle of each of its sides."""
+        return self._measures[0]
 
     @cached_property
     def bent_areas(self) -> np.ndarray:
-        """(F,) m^2 for which a triangle's curvature stands: its own, and that of neighbours on the rim that can do without theirs."""
-        whole, found = np.asarray((self.sides >= 0).all(1)), self.areas.copy()
+        """(F,) m^2 for which a triangle's curvature stands: its own, and that of neighbours that can do without theirs, on the rim or where
+        three angles tell it badly."""
+        clear, found = self._measures[1], self.areas.copy()
+        whole = (self.sides >= 0).all(1)
         beside = [[] for _ in self.folds]
         for f, sides in enumerate(self.sides.tolist()):
             for h in sides:
                 if h >= 0:
                     beside[h].append(f)
-        for f in np.flatnonzero(~whole):
-            inner = [[g for g in beside[h] if whole[g]] for h in self.sides[f] if h >= 0]
+        for f in np.flatnonzero(~clear):
+            inner = [[g for g in beside[h] if clear[g]] for h in self.sides[f] if h >= 0]
+            if whole[f]:
+                inner = [gs for gs in inner if gs]
             if inner and all(inner):
                 found[f] = 0.0
                 for (g,) in inner:
@@ -173,7 +184,8 @@ def _beyond(a, b, to_a, to_b):
 
 
 def _curving(corners, beyond):
-    """(3, 3) curvature per angle of the sides of a flat patch: a triangle (3, 2), and the corners beyond its sides, or None."""
+    """((3, 3) curvature per angle of the sides of a flat patch, whether three angles tell it well): a triangle (3, 2), and the corners
+    beyond its sides, or None."""
     inner = np.linalg.inv(np.column_stack([np.ones(3), corners]))
     there = [k for k in range(3) if beyond[k] is not None]
     per = np.zeros((3, 3))  # angle of each side per unit of each component of curvature
@@ -185,15 +197,16 @@ def _curving(corners, beyond):
         outer = np.linalg.inv(np.column_stack([np.ones(3), np.stack([a, b, o])]))
         per[k] = normals[k] @ (outer[1:] @ _quadratics(np.stack([a, b, o])) - inner[1:] @ _quadratics(corners))
     if not there:
-        return np.zeros((3, 3))
+        return np.zeros((3, 3)), False
     root = np.sqrt(TWICE)
     scaled = per[there] / root  # in a metric that no rotation of the axes changes
-    if np.linalg.cond(scaled) > UNCLEAR:  # each angle half on this side of its edge (Grinspun et al. 2006)
+    condition = np.linalg.cond(scaled)
+    if condition > UNCLEAR:  # each angle half on this side of its edge (Grinspun et al. 2006)
         outers = np.stack([normals[:, 0] ** 2, normals[:, 1] ** 2, normals[:, 0] * normals[:, 1]])
-        return outers * lengths / (2 * _area(corners))
+        return outers * lengths / (2 * _area(corners)), False
     found = np.zeros((3, 3))
     found[:, there] = np.linalg.pinv(scaled) / root[:, None]
-    return found
+    return found, len(there) == 3 and condition <= CLEAR
 
 
 def _area(corners):

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -19,6 +19,7 @@ from ...methods.continuum.scene import Scene
 from ...methods.continuum.simulate import Simulator
 from ...methods.continuum.twin import ContinuumTwin
 from ...methods.continuum.unknowns import Unknown
+from ...physics.side_by_side import side_by_side
 from ...physics.terms.base import Term
 from ..config import DiagnosisConfig
 from ..effects import Candidate
@@ -27,6 +28,9 @@ from .contrast import Contrast
 from .covariance import Layout
 
 __all__ = ["Cost", "Forward"]
+
+Item = TypeVar("Item")
+Found = TypeVar("Found")
 
 
 @dataclass
@@ -177,7 +181,8 @@ class Forward:
         scenes = [reduce(lambda scene, seen, row=row: seen(scene, row), self.seen, runner.scene) for row in values]
         moved = [k for k, scene in enumerate(scenes) if scene is not runner.scene]
         usual = [k for k in range(len(values)) if k not in moved]
-        parts = {k: replace(runner, scene=scenes[k]).run([values[k]], frames)[0] for k in moved}
+        alone = side_by_side(lambda k: replace(runner, scene=scenes[k]).run([values[k]], frames)[0], moved, runner.device)
+        parts = dict(zip(moved, alone, strict=True))
         parts |= dict(zip(usual, runner.run([values[k] for k in usual], frames), strict=True)) if usual else {}
         return np.stack([parts[k] for k in range(len(values))])
 
@@ -219,12 +224,23 @@ class Forward:
         """The recordings in which effects may act."""
         return [r for r in range(len(self.simulators)) if r not in self.sound]
 
+    def each(self, work: Callable[[Item, Forward], Found], items: Iterable[Item]) -> list[Found]:
+        """What ``work`` returns for each of ``items`` and these twins, side by side; its roll-outs count here.
+
+        ``work`` is to run twins of its own, as ``with_effects`` and ``with_scenes`` make them: two do not run the same one at a time.
+        """
+        begun, twins = time.process_time(), [(item, replace(self, cost=Cost())) for item in items]
+        found = side_by_side(lambda pair: work(*pair), twins, self.simulators[0].device)
+        self.cost.runs += sum(own.cost.runs for _, own in twins)
+        self.cost.seconds += time.process_time() - begun
+        return found
+
     def with_effects(self, candidates: Iterable[Candidate]) -> Forward:
         """The same twins with the laws of ``candidates``, in the recordings that are not known to be sound."""
         candidates = list(candidates)
         laws = {c.effect.term: c.effect.term() for c in candidates if c.effect.term}
         acting = {name for c in candidates for name in c.values([a.first for a in c.effect.amounts])}
-        made = list(self.simulators)
+        made = [replace(one) for one in self.simulators]
         for r in self.asked:
             one = made[r]
             made[r] = replace(one, extra=(*one.extra, *(_told(law, one.scene) for law in laws.values())))

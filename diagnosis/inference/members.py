@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,10 +16,9 @@ from ...methods.continuum.rods import Rod
 from ...methods.continuum.scene import Scene
 from ...methods.continuum.solids import Solid
 from ...methods.continuum.unknowns import Unknown, members
-from ...physics.cores import threads
 from ...physics.grids import embed
 from ..config import DiagnosisConfig
-from .forward import Cost, Forward
+from .forward import Forward
 
 __all__ = ["Member", "affordable", "drawn", "ran", "scene_of", "shared"]
 
@@ -86,27 +83,15 @@ def ran(members: Sequence[Member], forward: Forward, config: DiagnosisConfig) ->
 
 
 def shared(members: Sequence[Member], forward: Forward, run: Callable[[Member, Forward], np.ndarray]) -> np.ndarray:
-    """(K, B) m, what ``run`` says of each of K members; NaN where it raises ValueError.
+    """(K, B) m, what ``run`` says of each of K members; NaN where it raises ValueError."""
 
-    On a CPU threads share them, since each is a system of its own. What a run finds does not depend on it.
-    """
-    begun, costs = time.process_time(), [Cost() for _ in members]
-    workers = threads() if all(simulator.device == "cpu" for simulator in forward.simulators) else 1
-
-    def one(member: Member, cost: Cost) -> np.ndarray:
+    def one(member: Member, forward: Forward) -> np.ndarray:
         try:
-            return run(member, replace(forward, cost=cost))
+            return run(member, forward)
         except ValueError:
             return np.full(len(forward.data), np.nan)
 
-    if workers == 1:  # a GPU is launched on by the thread that always did
-        found = list(map(one, members, costs))
-    else:
-        with ThreadPoolExecutor(workers) as pool:  # a launch on the CPU runs outside Python's lock
-            found = list(pool.map(one, members, costs))
-    forward.cost.runs += sum(cost.runs for cost in costs)
-    forward.cost.seconds += time.process_time() - begun
-    return np.array(found)
+    return np.array(forward.each(one, members))
 
 
 def scene_of(member: Member, scene: Scene, recording: Observed, config: DiagnosisConfig, *, like: Body | None = None) -> Scene:

@@ -193,12 +193,16 @@ def weighed(
     likely, tried, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
     asked = list(likely)[: config.refitted] if alarm and refits else []
     members = list(zip(scatter.only(rows).left_out(prior, parameters=False), e.noisy[:, rows], strict=True)) if asked else []
+
+    def refit(k: int, forward: Forward) -> Refit:
+        return refitted(forward, *common[1:], e.catalogue[k], config, members)
+
     while asked:
-        for name in asked:
-            for k in likely[name]:
-                own = refitted(*common, e.catalogue[k], config, members)
-                if name not in tried or own.log_evidence > tried[name][1].log_evidence:
-                    tried[name] = k, own
+        which = [k for name in asked for k in likely[name]]
+        for k, own in zip(which, e.forward.each(refit, which), strict=True):
+            name = e.catalogue[k].name
+            if name not in tried or own.log_evidence > tried[name][1].log_evidence:
+                tried[name] = k, own
         gains = {k: one.log_evidence - sound.log_evidence for k, one in tried.values()}
         chances = _chances(test, e.catalogue, gains)
         likeliest = next(iter(chances))  # where refits were worse than their linear evidence, it may be one that was not refitted

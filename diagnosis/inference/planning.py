@@ -112,7 +112,8 @@ def plan(evidence: Evidence, prior: Prior, readings: Sequence[Reading], config: 
     for k, group in enumerate(groups_of(recording.controllers)):
         label[group] = k
     setting = Setting.of(recording, body.structure, label)
-    found = [one for one in (_moved(evidence, motion, readings, config) for motion in motions(setting)) if one is not None]
+    moved = forward.each(lambda motion, twins: _moved(evidence, twins, motion, readings, config), motions(setting))
+    found = [replace(one, forward=replace(one.forward, cost=forward.cost)) for one in moved if one is not None]
     if not found:
         return None
     found.sort(key=lambda one: -one.bound)
@@ -136,9 +137,8 @@ def _planned(setting: Setting, readings, one: _Moved, error: Likelihood) -> Plan
     return Plan(one.motion, separation, {}, look, says)
 
 
-def _moved(evidence: Evidence, motion: Motion, readings, config: DiagnosisConfig) -> _Moved | None:
+def _moved(evidence: Evidence, forward: Forward, motion: Motion, readings, config: DiagnosisConfig) -> _Moved | None:
     """The twins in another motion, from rest; None where one of the readings diverges."""
-    forward = evidence.forward
     recording, runner = forward.recordings[0], forward.simulators[0]
     there = replace(runner, scene=_led(runner.scene, motion))
     blocks = Blocks.of(_filmed(recording, motion, runner.scene.structure), config, forward.blocks[0].regions)

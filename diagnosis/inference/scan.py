@@ -82,13 +82,17 @@ def signatures(
     groups: dict[str, list] = {}
     for effect in asked:
         groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
-    found = []
-    for group in groups.values():
+
+    def measured(group, forward: Forward):
         plan = [(c, j) for e in group for c in e.candidates(where[e.name], laid) for j in range(len(e.amounts))]
         extended = forward.with_effects(c for c, _ in plan)
         columns = _measured(extended, reference, plan, config)
-        if residual is not None:
-            plan, columns = _turned(extended, plan, columns, reference, config, np.where(fitted, residual, 0.0) / sd, sd)
+        if residual is None:
+            return plan, columns
+        return _turned(extended, plan, columns, reference, config, np.where(fitted, residual, 0.0) / sd, sd)
+
+    found = []
+    for plan, columns in forward.each(measured, groups.values()):
         for candidate in dict.fromkeys(id(c) for c, _ in plan):
             own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
             moved = [k for k in own if np.isfinite(columns[k]).all() and motion_of(columns[k][fitted]) * abs(_most(plan[k])) > SMALLEST]

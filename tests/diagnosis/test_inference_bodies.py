@@ -10,7 +10,7 @@ from blocks import FRAMES, TRUE, recorded, sound_twin
 from twinbench.diagnosis import asking
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
-from twinbench.diagnosis.inference import members, scan
+from twinbench.diagnosis.inference import scan
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import affordable, drawn, ran, shared
@@ -18,6 +18,7 @@ from twinbench.diagnosis.inference.scan import signatures
 from twinbench.diagnosis.inference.settling import left, settled
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.unknowns import Unknown
+from twinbench.physics import side_by_side
 
 NOISE = 1e-3
 CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=4, cells=1.0)
@@ -159,7 +160,7 @@ def test_members_are_shared_by_threads_and_what_they_find_is_not(twin, recording
 
     found = {}
     for count in (1, 3):
-        monkeypatch.setattr(members, "threads", lambda count=count: count)
+        monkeypatch.setattr(side_by_side, "threads", lambda count=count: count)
         before = replace(forward.cost), time.process_time()
         found[count] = shared(few, forward, run)
         assert forward.cost.runs - before[0].runs == 2

@@ -10,6 +10,7 @@ from scipy.integrate import solve_bvp
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
 from twinbench.benchmark.conformance.gradients import check, draped, leaves, loss, some
+from twinbench.methods.continuum.meshing import meshed
 from twinbench.physics.batch import Batch
 from twinbench.physics.sheets import Sheet, fold_angles, fold_gradients, internal_forces
 from twinbench.physics.stability import stable_step
@@ -128,6 +129,24 @@ def test_curvature_of_a_cylinder(name, way):
     inner = here.all(1)
     np.testing.assert_allclose(density[inner], 1, rtol=0.01)
     assert (sheet.bent_areas @ density) / sheet.areas.sum() == pytest.approx(1, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [35, 47, 59])
+def test_what_three_angles_tell_badly_stiffens_no_mesh(seed):
+    # scattered points, of which some triangle and the corners beside it lie nearly on a conic: measured by its own angles it would bend
+    # more than three times as hard as the middle one for its size, nine times in energy; its neighbours carry its area, exactly. A
+    # cylinder's W = B k^2 / 2 is met as on a lattice, within the rim's 5 %
+    flat_points = np.random.default_rng(seed).uniform(0, 1, (1500, 2)) * [0.5, 0.4]
+    nodes, triangles, _ = meshed(flat_points, 220)
+    points = flat_points[nodes]
+    sheet = Sheet.of(flat(points), triangles)
+    hard = np.linalg.norm(sheet.curving, axis=(1, 2)) * np.sqrt(sheet.areas)
+    carries, whole = sheet.bent_areas > 0, (sheet.sides >= 0).all(1)
+    assert hard[whole].max() > 3 * np.median(hard) and hard[whole & carries].max() < 2.5 * np.median(hard)
+    assert sheet.bent_areas.sum() == pytest.approx(sheet.areas.sum(), rel=1e-12)
+    angle = fold_angles(rolled(points, 2.0, 30.0)[sheet.folds])
+    kappa = np.einsum("fck,fk->fc", sheet.curving, np.where(sheet.sides >= 0, angle[sheet.sides], 0.0))
+    assert (sheet.bent_areas @ (kappa**2 @ [1.0, 1.0, 2.0])) / sheet.areas.sum() == pytest.approx(4.0, rel=0.05)
 
 
 def test_a_sphere_bends_both_ways():
