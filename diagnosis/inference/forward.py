@@ -225,11 +225,9 @@ class Forward:
         return [r for r in range(len(self.simulators)) if r not in self.sound]
 
     def each(self, work: Callable[[Item, Forward], Found], items: Iterable[Item]) -> list[Found]:
-        """What ``work`` returns for each of ``items`` and these twins, side by side; its roll-outs count here.
-
-        ``work`` is to run twins of its own, as ``with_effects`` and ``with_scenes`` make them: two do not run the same one at a time.
-        """
-        begun, twins = time.process_time(), [(item, replace(self, cost=Cost())) for item in items]
+        """What ``work`` returns for each of ``items`` and the same twins, side by side; its roll-outs count here."""
+        begun = time.process_time()
+        twins = [(item, replace(self, simulators=tuple(replace(s) for s in self.simulators), cost=Cost())) for item in items]
         found = side_by_side(lambda pair: work(*pair), twins, self.simulators[0].device)
         self.cost.runs += sum(own.cost.runs for _, own in twins)
         self.cost.seconds += time.process_time() - begun
@@ -240,7 +238,7 @@ class Forward:
         candidates = list(candidates)
         laws = {c.effect.term: c.effect.term() for c in candidates if c.effect.term}
         acting = {name for c in candidates for name in c.values([a.first for a in c.effect.amounts])}
-        made = [replace(one) for one in self.simulators]
+        made = list(self.simulators)
         for r in self.asked:
             one = made[r]
             made[r] = replace(one, extra=(*one.extra, *(_told(law, one.scene) for law in laws.values())))
