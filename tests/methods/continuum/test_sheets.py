@@ -9,7 +9,7 @@ from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.continuum.bodies import class_of
 from twinbench.methods.continuum.config import Config
 from twinbench.methods.continuum.estimate import estimate
-from twinbench.methods.continuum.flattening import flattened, neighbours
+from twinbench.methods.continuum.flattening import flattened, neighbours, quantile
 from twinbench.methods.continuum.meshing import located, meshed, smoothed
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.sheets import AREAL_DENSITY, Cloth
@@ -70,6 +70,16 @@ def test_points_in_pieces_are_refused():
     far = np.concatenate([rolled(lattice(), 9.0), rolled(lattice(), 9.0) + [1.0, 0, 0]])
     with pytest.raises(ValueError, match="must hang together"):
         flattened(far)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.37, 0.8, 1.0])
+def test_quantiles_of_what_is_not_always_seen_are_numpys(share):
+    # rounding of one interpolation: a few units in the last place of numbers below 4
+    random = np.random.default_rng(0)
+    values = random.normal(size=(23, 400))
+    values[random.random(values.shape) < 0.6] = np.nan
+    values[0] = np.where(np.isfinite(values).any(0), values[0], 1.0)
+    np.testing.assert_allclose(quantile(values, share), np.nanquantile(values, share, axis=0), rtol=0, atol=2e-15)
 
 
 def test_a_mesh_covers_the_sheet_evenly():
