@@ -127,7 +127,8 @@ class Batch:
         self._workers = 1 if cuda else max(1, min(len(systems), workers or threads()))
         if self.twisting:
             self.inputs.directors = settled(self, self.inputs)
-        self.resident = None if team else engine_for(self)
+        with COMPILER:
+            self.resident = None if team else engine_for(self)
 
     # ---------------------------------------------------------------- assembly
 

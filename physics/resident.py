@@ -21,6 +21,7 @@ from torch.autograd.function import once_differentiable
 
 from . import cuda
 from .packing import Packing, Shape, pack
+from .side_by_side import COMPILER
 
 __all__ = ["Engine", "engine_for", "serves", "shapes"]
 
@@ -243,7 +244,9 @@ class Engine:
 
     def _launch(self, forward, args):
         with torch.cuda.device(self.batch.device):
-            self.program(forward).launch(len(self.layout["blocks"]), args)
+            with COMPILER:
+                program = self.program(forward)
+            program.launch(len(self.layout["blocks"]), args)
 
     def table_gradient(self, sums: torch.Tensor) -> torch.Tensor:
         """(B, columns) of the blocks' sums."""

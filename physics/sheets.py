@@ -8,8 +8,8 @@ out flat, whose linear interpolant is folded by these angles. So a constant curv
 stiffness at each edge, as in Grinspun et al., "Discrete shells", 2003, depends on how the mesh lies; ``results/continuum.md`` has the
 figures. On a lattice this is their shape operator averaged over a triangle: Grinspun et al., "Computing discrete shape operators on general
 meshes", 2006.) Along the rim fewer angles are known: there the curvature is that of the neighbours inside, or that of least energy where
-there are none. Neighbours also stand for a triangle whose six points lie nearly on a conic, which its angles tell badly: measured by these
-it would be many times as stiff as the rest, and all of the sheet would be stepped for its sake.
+one of them lies on the rim as well. Neighbours also stand for a triangle whose six points lie nearly on a conic, which its angles tell badly:
+measured by these it would be many times as stiff as the rest, and all of the sheet would be stepped for its sake.
 
 Symmetric tensors in a triangle's plane are written (11, 22, 12), as vectors of three.
 """
@@ -122,13 +122,11 @@ class Sheet:
                 if h >= 0:
                     beside[h].append(f)
         for f in np.flatnonzero(~clear):
-            inner = [[g for g in beside[h] if clear[g]] for h in self.sides[f] if h >= 0]
-            if whole[f]:
-                inner = [gs for gs in inner if gs]
-            if inner and all(inner):
+            near = [g for h in self.sides[f] if h >= 0 for g in beside[h] if g != f]
+            taking = [g for g in near if clear[g]]
+            if taking and (whole[f] or whole[near].all()):
                 found[f] = 0.0
-                for (g,) in inner:
-                    found[g] += self.areas[f] / len(inner)
+                found[taking] += self.areas[f] / len(taking)
         return found
 
     def masses(self, density: float, count: int) -> np.ndarray:

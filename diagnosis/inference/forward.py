@@ -35,7 +35,7 @@ Found = TypeVar("Found")
 
 @dataclass
 class Cost:
-    """Roll-outs and the seconds that they took; shared by all that is derived from one ``Forward``."""
+    """Roll-outs and the seconds of processors that they took, of one ``Forward`` and of all that is derived from it."""
 
     runs: int = 0
     seconds: float = 0.0

@@ -1,10 +1,12 @@
 """Pieces of work beside each other: their order, what they raise, and that they find what they find alone."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
 import torch
+import warp as wp
 from twinbench.physics import side_by_side as module
 from twinbench.physics.batch import Batch
 from twinbench.physics.side_by_side import side_by_side
@@ -39,6 +41,36 @@ def test_the_first_item_that_fails_says_why():
 
     with pytest.raises(ValueError, match="item 1"):
         side_by_side(work, range(4), "cpu")
+
+
+def test_pieces_of_a_piece_share_its_threads():
+    # three threads for three pieces leave one for each, and for two one; a single piece has all three
+    def at_once(_):
+        together, most, lock = [0], [0], threading.Lock()
+
+        def work(_):
+            with lock:
+                together[0] += 1
+                most[0] = max(most[0], together[0])
+            time.sleep(0.05)
+            with lock:
+                together[0] -= 1
+
+        side_by_side(work, range(6), "cpu")
+        return most[0]
+
+    assert side_by_side(at_once, range(3), "cpu") == [1, 1, 1] and side_by_side(at_once, range(1), "cpu") == [3]
+
+
+def test_a_kernel_is_compiled_once_on_a_cpu():
+    # Warp builds one for each number of threads in a block, of which a CPU has one
+    @wp.kernel(module="unique")
+    def more(values: wp.array(dtype=wp.float32)):
+        values[wp.tid()] += 1.0
+
+    values = [wp.zeros(4, dtype=wp.float32, device="cpu") for _ in range(3)]
+    side_by_side(lambda own: module.launch(more, dim=4, inputs=[own], device="cpu"), values, "cpu")
+    assert len(more.module.execs) == 1 and all(own.numpy().tolist() == [1.0] * 4 for own in values)
 
 
 @pytest.mark.parametrize("device", ["cpu", CUDA])
