@@ -115,7 +115,7 @@ class Sheet:
         """(F,) m^2 for which a triangle's curvature stands: its own, and that of neighbours that can do without theirs, on the rim or where
         three angles tell it badly."""
         clear, found = self._measures[1], self.areas.copy()
-        whole = (self.sides >= 0).all(1)
+        whole = np.asarray((self.sides >= 0).all(1))
         beside = [[] for _ in self.folds]
         for f, sides in enumerate(self.sides.tolist()):
             for h in sides:
