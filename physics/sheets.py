@@ -3,13 +3,13 @@
 A triangle with rest edges D (2, 2) in its own plane is stretched by a = [x_1 - x_0, x_2 - x_0] D^-1 (3, 2), whose Green strain is
 E = (a'a - 1) / 2: the constant-strain triangle.
 
-Its curvature is linear in the angles at its sides, beyond those at rest: that of the quadratic surface over it and its neighbours, all laid
-out flat, whose linear interpolant is folded by these angles. So a constant curvature is met exactly on every mesh, however it lies. (A
-stiffness at each edge, as in Grinspun et al., "Discrete shells", 2003, depends on how the mesh lies; ``results/continuum.md`` has the
-figures. On a lattice this is their shape operator averaged over a triangle: Grinspun et al., "Computing discrete shape operators on general
-meshes", 2006.) Along the rim fewer angles are known: there the curvature is that of the neighbours inside, or that of least energy where
-one of them lies on the rim as well. Neighbours also stand for a triangle whose six points lie nearly on a conic, which its angles tell badly:
-measured by these it would be many times as stiff as the rest, and all of the sheet would be stepped for its sake.
+Its curvature is linear in the angles at its sides, beyond those at rest: that of the quadratic surface over it and its neighbours, all
+laid out flat, whose linear interpolant is folded by these angles. So a constant curvature is met exactly on every mesh, however it lies.
+(A stiffness at each edge, as in Grinspun et al., "Discrete shells", 2003, depends on how the mesh lies; ``results/continuum.md`` has the
+figures. On a lattice this is their shape operator averaged over a triangle: Grinspun et al., "Computing discrete shape operators on
+general meshes", 2006.) Along the rim fewer angles are known: there the curvature is that of the neighbours inside, or that of least
+energy where one of them lies on the rim as well. Neighbours also stand for a triangle whose six points lie nearly on a conic, which its
+angles tell badly: measured by these it would be many times as stiff as the rest, and all of the sheet would be stepped for its sake.
 
 Symmetric tensors in a triangle's plane are written (11, 22, 12), as vectors of three.
 """
