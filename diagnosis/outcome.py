@@ -86,7 +86,7 @@ class Outcome:
                 "plan": figures(plan.motion, plan.separation, plan.others, float(parts[0][0].fps)) if plan else None,
                 "rollouts": {"count": answer.runs, "seconds": answer.seconds},
             },
-            "seconds": round(seconds, 1),
+            "seconds": round(seconds, 3),
         }
         twins = {name: twin for name, twin in (("baseline", found.twin), ("extended", found.told)) if twin is not None}
         return cls(result, _arrays(parts, runs), twins)

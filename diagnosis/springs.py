@@ -126,7 +126,7 @@ def ask_springs(
     }
     arrays, curves = _arrays(inquiry, before, after)
     result["evidence"]["curves"] = curves
-    result["seconds"] = round(time.time() - begun, 1)
+    result["seconds"] = round(time.time() - begun, 3)
     return Diagnosis(result, arrays, inquiry, chosen)
 
 
