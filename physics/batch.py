@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -27,7 +26,7 @@ from .native import WARP
 from .outside import assemble_points
 from .resident import engine_for
 from .sheets import assemble_sheets
-from .side_by_side import COMPILER, launch
+from .side_by_side import COMPILER, launch, side_by_side
 from .stability import stable_rounds, stable_substeps
 from .system import System
 from .terms.stages import SHEETS
@@ -430,17 +429,14 @@ class Batch:
         carriers[0].tensors["counters"].zero_()
         carriers[0].set(count=self.kept_ints(stretch.count), begin=self.kept_ints(stretch.begin))
 
-        def go(first, last):
+        def go(cut):
+            first, last = cut
             head = [c.struct for c in carriers] + [int(first), blocks]
             dim = (int(last - first) * blocks, threads)
             launch(kernel, dim=dim, inputs=[*head, *tail], device=self._device, block_dim=threads, waiting=blocks > 1)
 
-        if self._workers == 1:
-            go(0, len(self.systems))
-            return
-        cuts = np.linspace(0, len(self.systems), min(len(self.systems), 8 * self._workers) + 1).astype(int)
-        with ThreadPoolExecutor(self._workers) as pool:  # a launch on the CPU runs outside Python's lock
-            list(pool.map(go, cuts[:-1], cuts[1:]))
+        pieces = min(len(self.systems), 8 * self._workers) if self._workers > 1 else 1
+        side_by_side(go, pairwise(np.linspace(0, len(self.systems), pieces + 1).astype(int)), self._device, workers=self._workers)
 
 
 def _have_points(systems, laws):

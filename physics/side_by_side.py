@@ -27,20 +27,20 @@ WHOLE = Lock()  # of a GPU: blocks that wait for each other must all have a proc
 _HERE = local()  # of a thread that works on a piece: how many threads fall to it
 
 
-def side_by_side(work: Callable[[Item], Found], items: Iterable[Item], device: str) -> list[Found]:
+def side_by_side(work: Callable[[Item], Found], items: Iterable[Item], device: str, *, workers: int | None = None) -> list[Found]:
     """What ``work`` returns for each of ``items``, in their order; what it finds must not depend on who else is at work.
 
     ``device`` "cpu", "cuda" or "cuda:1" is where it computes. As many at a time as there are threads (``cores.threads``), or as fall to
-    a piece of ``work`` that asks for this itself. Raises what ``work`` raises, of the first item that does.
+    a piece of ``work`` that asks for this itself, or ``workers``. Raises what ``work`` raises, of the first item that does.
     """
-    items, room = list(items), getattr(_HERE, "threads", 0) or threads()
-    workers = min(room, len(items))
-    if workers <= 1:
+    items, room = list(items), workers or getattr(_HERE, "threads", 0) or threads()
+    count = min(room, len(items))
+    if count <= 1:
         return [work(item) for item in items]
     cuda = torch.device(device).type == "cuda"
 
     def one(item: Item) -> Found:
-        _HERE.threads = max(1, room // workers)
+        _HERE.threads = max(1, room // count)
         if not cuda:
             return work(item)
         with torch.cuda.stream(stream := torch.cuda.Stream(device)):
@@ -50,7 +50,7 @@ def side_by_side(work: Callable[[Item], Found], items: Iterable[Item], device: s
 
     if cuda:
         torch.cuda.current_stream(device).synchronize()  # a new stream does not wait for it
-    with ThreadPoolExecutor(workers) as pool:
+    with ThreadPoolExecutor(count) as pool:
         return list(pool.map(one, items))
 
 

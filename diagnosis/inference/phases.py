@@ -187,15 +187,15 @@ def weighed(
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
     rows = np.flatnonzero(layout.fitted)
     fitting = scatter.only(rows).likelihood(prior, parameters=False)
-    common = (e.forward, e.forward.data, e.reference, e.slopes, fitting, rows)
-    sound = refitted(*common, None, config)
+    common = (e.forward.data, e.reference, e.slopes, fitting, rows)
+    sound = refitted(e.forward, *common, None, config)
     alarm = found.alarms(config)
     likely, tried, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
     asked = list(likely)[: config.refitted] if alarm and refits else []
     members = list(zip(scatter.only(rows).left_out(prior, parameters=False), e.noisy[:, rows], strict=True)) if asked else []
 
     def refit(k: int, forward: Forward) -> Refit:
-        return refitted(forward, *common[1:], e.catalogue[k], config, members)
+        return refitted(forward, *common, e.catalogue[k], config, members)
 
     while asked:
         which = [k for name in asked for k in likely[name]]
