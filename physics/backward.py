@@ -40,12 +40,15 @@ def make_backward(kit):
     load_contact, load_move = load["contact"], load["move"]
     skinned, filled, easing, branching = kit.skinned, kit.filled, kit.easing, kit.branching
     pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
-    back_crease, back_panel, back_fold, redraped = make_back_shells(kit) if draping else (ABSENT, ABSENT, ABSENT, ABSENT)
+    cells_easing, sheets_easing = kit.cells_easing, kit.sheets_easing
+    back_crease, back_panel, back_fold, back_ease_crease, back_ease_panel, back_ease_fold, redraped = (
+        make_back_shells(kit) if draping else (ABSENT,) * 7
+    )
     layered, load_layer = kit.layered, load["layer"]
     back_meet_layers, relayered = make_back_layers(kit) if layered else (ABSENT, ABSENT)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     back_meet, remet = make_back_outside(kit) if pointed else (ABSENT, ABSENT)
-    back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or easing else (ABSENT, ABSENT, ABSENT)
+    back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or cells_easing else (ABSENT, ABSENT, ABSENT)
     back_press, grown, back_pressed = make_back_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT)
     back_bend, regained = make_back_rods(kit) if hinged else (ABSENT, ABSENT)
     back_turn, back_balance, back_wrung, back_carry = make_back_twist(kit) if hinged else (ABSENT, ABSENT, ABSENT, ABSENT)
@@ -240,9 +243,7 @@ def make_backward(kit):
                             gv += resqueezed(w, a, i, 8)
                 if wp.static(draping):
                     if k < count:
-                        px, py = redraped(w, a, i)
-                        gx += px
-                        gv += py
+                        gx += redraped(w, a, i, 0)
                 if wp.static(layered):
                     if k < count:
                         lx, lv = relayered(w, a, k, i)
@@ -280,6 +281,7 @@ def make_backward(kit):
                         a.x[i] = gx
                         a.v[i] = gv
                         a.eased[i] = gv / w.mass[i]
+                        a.gain[i] = vec()
                     if wp.static(not colliding and not easing):
                         back_push(w, a, k - 1, i, frame, step - 1, substeps, dt, gx, gv, p_velocity, p_body, p_observer)
             round += 1
@@ -288,24 +290,45 @@ def make_backward(kit):
                 if k > 0:
                     for turn in range(w.rounds[b]):
                         r = w.rounds[b] - 1 - turn
-                        for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
-                            back_drag(w, a, k - 1, r, b, c, w.ease[b, r] * dt, p_solid, p_viscous)
+                        if wp.static(cells_easing):
+                            for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
+                                back_drag(w, a, k - 1, r, b, c, w.ease[b, r] * dt, p_solid, p_viscous)
+                        if wp.static(sheets_easing):
+                            if wp.static(creasing):
+                                for h in range(w.fold_start[b] + lane, w.fold_start[b + 1], width):
+                                    back_ease_crease(w, a, k - 1, r, h)
+                                round += 1
+                                barrier(w.counters, team, blocks, round)
+                            for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
+                                back_ease_panel(w, a, k - 1, r, b, q, w.ease[b, r] * dt)
+                            if wp.static(creasing):
+                                round += 1
+                                barrier(w.counters, team, blocks, round)
+                                for h in range(w.fold_start[b] + lane, w.fold_start[b + 1], width):
+                                    back_ease_fold(w, a, k - 1, r, h)
                         round += 1
                         barrier(w.counters, team, blocks, round)
                         for i in range(lo + lane, hi, width):
                             if w.driver[i] < 0:
-                                gained = w.eased[k - 1, r + 1, i] - w.eased[k - 1, r, i]
+                                gained = w.eased[k - 1, r + 1, i] - w.eased[k - 1, r, i] - w.gain[k - 1, i] * w.ease[b, r]
                                 if a.wants_mass > 0:
                                     give(a.mass, i, -wp.dot(gained, a.eased[i]))
-                            a.x[i] = a.x[i] + resqueezed(w, a, i, 0)
-                            a.v[i] = a.v[i] + resqueezed(w, a, i, 8)
+                                a.gain[i] = a.gain[i] + a.v[i] * w.ease[b, r]
+                            if wp.static(cells_easing):
+                                a.x[i] = a.x[i] + resqueezed(w, a, i, 0)
+                                a.v[i] = a.v[i] + resqueezed(w, a, i, 8)
+                            if wp.static(sheets_easing):
+                                a.x[i] = a.x[i] + redraped(w, a, i, 0)
+                                a.v[i] = a.v[i] + redraped(w, a, i, 1)
                             if w.driver[i] < 0:
                                 a.eased[i] = a.v[i] / w.mass[i]
                         round += 1
                         barrier(w.counters, team, blocks, round)
                     for i in range(lo + lane, hi, width):
                         if w.driver[i] < 0:
-                            back_push(w, a, k - 1, i, frame, begin + k - 1, substeps, dt, a.x[i], a.v[i], p_velocity, p_body, p_observer)
+                            start = a.v[i] - a.gain[i]  # of the velocity at the substep's start, beside what it does to the gain
+                            back_push(w, a, k - 1, i, frame, begin + k - 1, substeps, dt, a.x[i], a.gain[i], p_velocity, p_body, p_observer)
+                            a.v[i] = a.v[i] + start
                     round += 1
                     barrier(w.counters, team, blocks, round)
 

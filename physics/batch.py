@@ -29,7 +29,7 @@ from .sheets import assemble_sheets
 from .side_by_side import COMPILER, launch, side_by_side
 from .stability import stable_rounds, stable_substeps
 from .system import System
-from .terms.stages import SHEETS
+from .terms.stages import EASED, SHEETS
 
 __all__ = ["Batch", "Carried", "Inputs", "Rollout", "first_bad"]
 
@@ -54,7 +54,7 @@ class Batch:
     dt        seconds per substep where it is not 1 / (fps substeps) (PhysTwin: 5e-5 in 667 substeps is 33.35 ms, not 33.33)
     device    "cpu", "cuda" or "cuda:1"
     double    float64 instead of float32
-    rounds    in which a substep takes the damping of solids, for all or for each system, or "auto": what stability asks of each
+    rounds    in which a substep takes the damping of solids and sheets, for all or for each system, or "auto": what stability asks of each
     workers   CPU threads that share the systems (all cores by default; results do not depend on it)
     team      CUDA only: (blocks per system, threads per block, lanes per particle) of the general kernels, which then step the batch
     """
@@ -102,12 +102,12 @@ class Batch:
         self.fps = float(fps)
         self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
         self.remembering = bool(self.laws.stage("strand"))
-        self.filled, self.easing = bool(self.laws.stage("solid")), bool(self.laws.stage("viscous"))
+        self.filled, self.easing = bool(self.laws.stage("solid")), any(self.laws.stage(s) for s in EASED)
         self.touching, self.pointed = bool(self.laws.stage("touch")), _have_points(systems, self.laws)
         self.layered, self.draped = bool(self.laws.stage("layer")), any(self.laws.stage(s) for s in SHEETS)
         self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
         if self.easing and self.colliding:
-            raise ValueError("a system can have terms of the stage 'viscous' or of the stage 'contact', got both")
+            raise ValueError("a system can have terms that are viscous in a solid or a sheet, or one of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
             rounds = [stable_rounds(s, dt) for s, dt in zip(systems, self.dt, strict=True)]
         self.rounds = _each(systems, "rounds", rounds)
@@ -164,6 +164,9 @@ class Batch:
         here, other = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
         spring = np.tile(np.arange(len(ends)), 2)
         absent = (lead > 0) & (not self.laws.stage("links"))  # without their term, controllers pull on nothing
+        for s, index in zip(systems, indices, strict=True):
+            if s.points is not None:  # a step ahead, a hand would lead all that it carries by a step: most of what a step is off by
+                lead[index[s.particle_count + s.points.holds[s.points.holds >= 0]]] = 0
         if absent.any():
             kept = ~absent[np.stack([here, other])].any(0)
             here, other, spring = here[kept], other[kept], spring[kept]
@@ -405,7 +408,7 @@ class Batch:
         if self.hinged:
             kept += 4 * (len(self.inputs.directors) + len(self.inputs.flexure))
         if self.easing:
-            kept += self.node_count * 3 * (int(self.rounds.max()) + 1)
+            kept += self.node_count * 3 * (int(self.rounds.max()) + 2)
         if self.layered:
             kept += 20 * self.node_count  # candidates, about: a flat sheet has 7 a node, a folded one 25
         if self.touching:

@@ -87,13 +87,14 @@ def make_forward(kit):
     load_contact, load_move = load["contact"], load["move"]
     hinged, skinned, filled, easing = kit.hinged, kit.skinned, kit.filled, kit.easing
     pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
-    crease, panel, draped = make_shells(kit) if draping else (ABSENT, ABSENT, ABSENT)
+    cells_easing, sheets_easing = kit.cells_easing, kit.sheets_easing
+    crease, panel, ease_fold, ease_panel, draped = make_shells(kit) if draping else (ABSENT,) * 5
     layered, load_layer = kit.layered, load["layer"]
     meet_layers, met_layers = make_layers(kit) if layered else (ABSENT, ABSENT)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     meet, met_points = make_outside(kit) if pointed else (ABSENT, ABSENT)
-    strain, drag, squeezed = make_cells(kit) if filled or easing else (ABSENT, ABSENT, ABSENT)
-    alone, vector = easing and half, abreast(8 if kit.R is wp.float64 else 4)
+    strain, drag, squeezed = make_cells(kit) if filled or cells_easing else (ABSENT, ABSENT, ABSENT)
+    alone, vector = cells_easing and half and not sheets_easing, abreast(8 if kit.R is wp.float64 else 4)
     law_of, integrated, placed, damped = make_lanes(kit) if alone else (ABSENT, ABSENT, ABSENT, ABSENT)
     contraction = starts(kit)[0] if alone else ABSENT
     bulk, swollen, press, pressed = make_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT, ABSENT)
@@ -327,7 +328,8 @@ def make_forward(kit):
                         put(w.flight, here * w.nodes + i, x, v)
                         note(w.flight, here * w.nodes + i, m)
                     if wp.static(easing):
-                        w.eased[kept, 0, i] = v
+                        w.eased[kept, 0, i] = get_v(w.state, here * w.nodes + i)
+                        w.gain[kept, i] = v - w.eased[kept, 0, i]
                     if wp.static(not colliding and not easing):
                         if record:
                             w.free[here, i] = v
@@ -376,17 +378,31 @@ def make_forward(kit):
                     )
                     for i in range(lo, hi):
                         if w.driver[i] < 0:
-                            w.eased[kept, r + 1, i] = w.eased[kept, r, i] + w.force[i] * (w.ease[b, r] * dt / w.mass[i])
+                            w.eased[kept, r + 1, i] = w.eased[kept, r, i] + (w.gain[kept, i] + w.force[i] * (dt / w.mass[i])) * w.ease[b, r]
                         w.force[i] = vec()
             elif wp.static(easing):
                 for r in range(w.rounds[b]):
-                    for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
-                        drag(w, here, kept, r, b, c, p_solid, p_viscous)
+                    if wp.static(cells_easing):
+                        for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
+                            drag(w, here, kept, r, b, c, p_solid, p_viscous)
+                    if wp.static(sheets_easing):
+                        if wp.static(creasing):
+                            for h in range(w.fold_start[b] + lane, w.fold_start[b + 1], width):
+                                ease_fold(w, kept, r, h)
+                            round += 1
+                            barrier(w.counters, team, blocks, round)
+                        for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
+                            ease_panel(w, here, kept, r, b, q)
                     round += 1
                     barrier(w.counters, team, blocks, round)
                     for i in range(lo + lane, hi, width):
                         if w.driver[i] < 0:
-                            w.eased[kept, r + 1, i] = w.eased[kept, r, i] + squeezed(w, i) * (w.ease[b, r] * dt / w.mass[i])
+                            f = vec()
+                            if wp.static(cells_easing):
+                                f += squeezed(w, i)
+                            if wp.static(sheets_easing):
+                                f += draped(w, i)
+                            w.eased[kept, r + 1, i] = w.eased[kept, r, i] + (w.gain[kept, i] + f * (dt / w.mass[i])) * w.ease[b, r]
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(easing):

@@ -25,7 +25,7 @@ from .finding import finder, noting
 from .laws import Laws
 from .native import WARP, adder, lane_sum, state_access
 from .quads import quads
-from .terms.stages import STAGED
+from .terms.stages import EASED, SHEETS, STAGED
 
 __all__ = ["Kernels", "build"]
 
@@ -110,9 +110,11 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         hinged=bool(laws.stage("hinge")),
         skinned=bool(laws.stage("facet")),
         filled=bool(laws.stage("solid")),
-        easing=bool(laws.stage("viscous")),
-        draping=bool(laws.stage("membrane") or laws.stage("plate")),
-        creasing=bool(laws.stage("plate")),
+        easing=any(laws.stage(s) for s in EASED),
+        cells_easing=bool(laws.stage("viscous")),
+        draping=any(laws.stage(s) for s in SHEETS),
+        creasing=bool(laws.stage("plate") or laws.stage("viscous_plate")),
+        sheets_easing=bool(laws.stage("viscous_membrane") or laws.stage("viscous_plate")),
         layered=bool(laws.stage("layer")),
         touching=bool(laws.stage("touch")),
         growing=bool(laws.stage("growth")),
@@ -156,7 +158,7 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, four, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, pj, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, pvm, pvp, pj, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
     pq, pk, two = vectors["memory"], vectors["cell_memory"], vectors["natural"]
 
     @wp.struct
@@ -178,7 +180,7 @@ def _structs(R, vec, four, vectors):
         seen: wp.array2d(dtype=vec)  # (T, columns) m, where observers saw particles
         sight: wp.array2d(dtype=R)  # (T, columns) weight of what was seen between this frame and the next, 0 where it was not
         driver: wp.array(dtype=wp.int32)  # (nodes,) the controller that moves it, or -1
-        lead: wp.array(dtype=wp.int32)  # (nodes,) 1: forces see the controller at the end of the substep (published), 0: at its start
+        lead: wp.array(dtype=wp.int32)  # (nodes,) 1: it is where its controller is at the end of the substep (published), 0: at its start
         path: wp.array2d(dtype=vec)  # (T, controllers) m
         table: wp.array2d(dtype=R)  # (B, columns) parameters
         state: wp.array(dtype=R)  # (slots * nodes * 8,) at the start of the substep: x [m], 0, v [m/s], 0
@@ -234,6 +236,7 @@ def _structs(R, vec, four, vectors):
         squeeze: wp.array2d(dtype=vec)  # (K, 8) N, forces on the corners
         cell_rows: wp.array2d(dtype=R)  # (ROWS, K + B vectors) of a lone thread: ``cell_lanes``
         eased: wp.array3d(dtype=vec)  # (slots kept, rounds + 1, nodes) m/s, before and after each round
+        gain: wp.array2d(dtype=vec)  # (slots kept, nodes) m/s, what all but damping adds in a substep
         panel_start: wp.array(dtype=wp.int32)  # (B+1,) first triangle of each system's sheet
         panel: wp.array2d(dtype=wp.int32)  # (F, 3) nodes
         panel_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
@@ -249,7 +252,7 @@ def _structs(R, vec, four, vectors):
         fold_of: wp.array(dtype=wp.int32)  # 4 fold + place in it
         beside: wp.array2d(dtype=wp.int32)  # (H, 2) 3 triangle + side, of its two triangles
         rest_angle: wp.array(dtype=R)  # (H,) rad
-        angle: wp.array2d(dtype=R)  # (H, 2) rad beyond that at rest, and rad/s
+        angle: wp.array(dtype=R)  # (H,) rad beyond that at rest, and in rounds of damping rad/s
         slope: wp.array2d(dtype=vec)  # (H, 4) 1/m, the angle's gradients
         panel_force: wp.array2d(dtype=vec)  # (F, 3) N, on its corners
         panel_moment: wp.array2d(dtype=R)  # (F, 3) N m, about its sides
@@ -311,18 +314,21 @@ def _structs(R, vec, four, vectors):
         facet: wp.array(dtype=pf)  # (F,) shares of the parameters' gradient
         cells: wp.array2d(dtype=vec)  # (K, 16) of a cell's forces: its corners' x, their v
         eased: wp.array(dtype=vec)  # (nodes,) of the velocity after a round, over mass; 0 at driven nodes
+        gain: wp.array(dtype=vec)  # (nodes,) of what all but damping adds
         solid: wp.array(dtype=pe)  # (K,) shares of the parameters' gradient
         growth: wp.array(dtype=pg)
         flow: wp.array(dtype=pw)
         material: wp.array(dtype=pl)
         branch: wp.array(dtype=pr)
         viscous: wp.array(dtype=pd)
-        paneled: wp.array2d(dtype=vec)  # (F, 6) of a triangle's forces: its corners' x, their v
-        panel_angle: wp.array3d(dtype=R)  # (F, 3, 3) and of the angles at its sides, of their rates, of their changes
+        paneled: wp.array2d(dtype=vec)  # (F, 6) of a triangle's forces: its corners' x, and of its damping their v
+        panel_angle: wp.array3d(dtype=R)  # (F, 3, 2) and of the angles at its sides, or of their rates, and of their changes
         angle: wp.array(dtype=R)  # (H,) change of a fold's angle by the adjoints of forces
-        folded: wp.array2d(dtype=vec)  # (H, 8) of a fold's forces: its nodes' x, their v
+        folded: wp.array2d(dtype=vec)  # (H, 8) of a fold's forces: its nodes' x, and of its damping their v
         membrane: wp.array(dtype=pn)  # (F,) shares of the parameters' gradient
         plate: wp.array(dtype=py)
+        viscous_membrane: wp.array(dtype=pvm)
+        viscous_plate: wp.array(dtype=pvp)
         paired: wp.array2d(dtype=vec)  # (C, 8) of a pair's forces: its nodes' x, their v
         pair_law: wp.array(dtype=pj)  # (C,) and parameters
         layer: wp.array(dtype=pj)  # (nodes,) shares of the parameters' gradient

@@ -69,6 +69,8 @@ class Laws:
             **fuse_material(self),
             membrane=summed(self, "membrane"),
             plate=summed(self, "plate"),
+            viscous_membrane=summed(self, "viscous_membrane"),
+            viscous_plate=summed(self, "viscous_plate"),
             layer=_layer(self),
             body=summed(self, "body"),
             surface=summed(self, "surface"),

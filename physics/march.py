@@ -100,8 +100,8 @@ class Carrier:
     @staticmethod
     def array(kernels, name, tensor):
         """Warp's array over a tensor, of the type that the kernels' structs have under ``name``."""
-        vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment"}
-        vectors |= {"directors", "bent", "turned", "carried", "wrung", "face", "faced", "points", "per", "squeeze", "eased", "cells"}
+        vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment", "eased", "gain"}
+        vectors |= {"directors", "bent", "turned", "carried", "wrung", "face", "faced", "points", "per", "squeeze", "cells"}
         vectors |= {"cell_home", "cell_at"}
         vectors |= {"point_home", "anchor", "push", "met_points", "curving", "slope", "panel_force", "paneled", "folded"}
         vectors |= {"pair_force", "paired"}
@@ -173,9 +173,10 @@ class World(Carrier):
                 **dict(free=empty(1 if batch.colliding else kept, n, 3), flight=empty((slots if batch.colliding else 0) * n * 8)),
                 **dict(met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(squeeze=empty(batch.cell_starts[-1], 8, 3), eased=empty(kept, rounds + 1, n if batch.easing else 0, 3)),
+                gain=empty(kept, n if batch.easing else 0, 3),
                 **dict(cell_rows=empty(*columns_of(batch))),
                 **dict(panel_force=empty(batch.panel_starts[-1], 3, 3), panel_moment=empty(batch.panel_starts[-1], 3)),
-                **dict(angle=empty(batch.fold_count, 2), slope=empty(batch.fold_count, 4, 3)),
+                **dict(angle=empty(batch.fold_count), slope=empty(batch.fold_count, 4, 3)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
         )
@@ -258,8 +259,8 @@ class Adjoint(Carrier):
                 **inputs,
                 **rods,
                 **faced,
-                **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), cell_memory=cell_memory.contiguous().clone()),
-                **dict(paneled=zeros(6, 3, count=panels), panel_angle=zeros(3, 3, count=panels)),
+                **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), gain=zeros(3), cell_memory=cell_memory.contiguous().clone()),
+                **dict(paneled=zeros(6, 3, count=panels), panel_angle=zeros(3, 2, count=panels)),
                 **dict(angle=zeros(count=folds), folded=zeros(8, 3, count=folds)),
                 **dict(anchor=anchor.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
             ),

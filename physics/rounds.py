@@ -1,7 +1,10 @@
 """Damping that is stiffer than a substep is long, in rounds.
 
-f_v = -C v with dt |C| / m far above 2 is taken as v <- v + (share_r dt / m) f_v at the same positions. Shares at the roots of Chebyshev's
-polynomial are stable far beyond single steps (super time stepping; Alexiades, Amiez and Gremaud 1996). Two equal passes make of their
+What all but damping adds to a velocity in a substep, g, is shared out over the rounds: v <- v + share_r (g + dt f_v / m), f_v = -C v at the
+same positions, with dt |C| / m far above 2. Shares at the roots of Chebyshev's polynomial are stable far beyond single steps (super time
+stepping; Alexiades, Amiez and Gremaud 1996): a mode with z = dt |C| / m ends at P v + (1 - P) g / z, and P is near exp(-z) where z is
+small and small where it is not. So what is damped out of hand moves as its force and its damping say, however long the substep is. (To add
+g first and damp it after leaves P g instead, too slow by as much as z is large: ``results/continuum.md``.) Two equal passes make of their
 polynomial its square: a velocity that came out of damping with its sign turned would make the elastic force push outwards.
 """
 

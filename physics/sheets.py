@@ -24,7 +24,7 @@ import numpy as np
 
 from .hinges import incidence
 
-__all__ = ["Sheet", "assemble_sheets", "fold_angles", "fold_gradients", "internal_forces"]
+__all__ = ["Sheet", "assemble_sheets", "damping_forces", "fold_angles", "fold_gradients", "internal_forces"]
 
 TWICE = np.array([1.0, 1.0, 2.0])  # how often a component counts in the work
 UNCLEAR = 30.0  # condition of three angles as a measure of curvature, beyond which the angles are averaged: nearly all on one conic
@@ -238,34 +238,48 @@ def fold_gradients(x) -> np.ndarray:
     return np.stack([-(1 - s) * left - (1 - t) * right, -s * left - t * right, left, right], 1)
 
 
-def internal_forces(sheet: Sheet, x, v, membrane: Callable, plate: Callable) -> np.ndarray:
-    """(M, 3) N on the particles at ``x`` moving with ``v`` (M, 3).
+def internal_forces(sheet: Sheet, x, membrane: Callable, plate: Callable) -> np.ndarray:
+    """(M, 3) N on the particles at ``x`` (M, 3).
 
-    ``membrane(strain, rate)`` gives the stress resultants [N/m] of strains (F, 3), ``plate(curvature, rate)`` moments per length [N].
+    ``membrane(strain)`` gives the stress resultants [N/m] of strains (F, 3), ``plate(curvature)`` moments per length [N].
     """
-    force = np.zeros_like(x)
+    a = _tangents(sheet, x)
+    angle = fold_angles(x[sheet.folds]) - sheet.rest_angles
+    return _forces(sheet, x, membrane((_inner(a, a) - [1.0, 1.0, 0.0]) / 2), plate(_curvature(sheet, angle)))
 
-    def tangents(at):
-        return np.einsum("fki,fkj->fij", at[sheet.triangles[:, 1:]] - at[sheet.triangles[:, :1]], sheet.inverse)
 
-    def inner(a, b):
-        c = np.einsum("fki,fkj->fij", a, b)
-        return np.stack([c[:, 0, 0], c[:, 1, 1], (c[:, 0, 1] + c[:, 1, 0]) / 2], 1)
+def damping_forces(sheet: Sheet, x, v, membrane: Callable, plate: Callable) -> np.ndarray:
+    """(M, 3) N on the particles at ``x`` moving with ``v`` (M, 3): as ``internal_forces``, of the rates of strains and curvatures."""
+    turning = (fold_gradients(x[sheet.folds]) * v[sheet.folds]).sum((1, 2))
+    return _forces(sheet, x, membrane(_inner(_tangents(sheet, x), _tangents(sheet, v))), plate(_curvature(sheet, turning)))
 
-    a, rates = tangents(x), tangents(v)
-    s = membrane((inner(a, a) - [1.0, 1.0, 0.0]) / 2, inner(a, rates))
-    piola = np.einsum("fij,fjk->fik", a, s[:, [0, 2, 2, 1]].reshape(-1, 2, 2))
+
+def _tangents(sheet, at):
+    """(F, 3, 2) the columns of the gradient of ``at`` (M, 3) in each triangle."""
+    return np.einsum("fki,fkj->fij", at[sheet.triangles[:, 1:]] - at[sheet.triangles[:, :1]], sheet.inverse)
+
+
+def _inner(a, b):
+    """(F, 3) the symmetric part of a'b, of columns ``a`` and ``b`` (F, 3, 2)."""
+    c = np.einsum("fki,fkj->fij", a, b)
+    return np.stack([c[:, 0, 0], c[:, 1, 1], (c[:, 0, 1] + c[:, 1, 0]) / 2], 1)
+
+
+def _curvature(sheet, angle):
+    """(F, 3) of triangles whose folds have ``angle`` (H,)."""
+    return np.einsum("fck,fk->fc", sheet.curving, np.where(sheet.sides >= 0, np.append(angle, 0.0)[sheet.sides], 0.0))
+
+
+def _forces(sheet, x, resultants, moments):
+    """(M, 3) N on the particles at ``x`` by ``resultants`` and ``moments`` (F, 3) of the triangles."""
+    force, here = np.zeros_like(x), sheet.sides >= 0
+    piola = np.einsum("fij,fjk->fik", _tangents(sheet, x), resultants[:, [0, 2, 2, 1]].reshape(-1, 2, 2))
     pulls = -sheet.areas[:, None, None] * np.einsum("fij,fkj->fki", piola, sheet.inverse)
     np.add.at(force, sheet.triangles[:, 1:], pulls)
     np.add.at(force, sheet.triangles[:, 0], -pulls.sum(1))
-    if len(sheet.folds):
-        angle, slope = fold_angles(x[sheet.folds]) - sheet.rest_angles, fold_gradients(x[sheet.folds])
-        turning = (slope * v[sheet.folds]).sum((1, 2))
-        here = sheet.sides >= 0
-        kappa, rate = (np.einsum("fck,fk->fc", sheet.curving, np.where(here, q[sheet.sides], 0.0)) for q in (angle, turning))
-        work = sheet.bent_areas[:, None] * np.einsum("fck,fc->fk", sheet.curving, plate(kappa, rate) * TWICE)
-        moment = np.bincount(sheet.sides[here], work[here], len(sheet.folds))
-        np.add.at(force, sheet.folds, -moment[:, None, None] * slope)
+    work = sheet.bent_areas[:, None] * np.einsum("fck,fc->fk", sheet.curving, moments * TWICE)
+    moment = np.bincount(sheet.sides[here], work[here], len(sheet.folds))
+    np.add.at(force, sheet.folds, -moment[:, None, None] * fold_gradients(x[sheet.folds]))
     return force
 
 

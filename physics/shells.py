@@ -1,12 +1,17 @@
 """The triangles and folds of sheets in the kernels: their forces on nodes, and the adjoint of both. What they compute: ``sheets``.
 
-Every fold leaves its angle, the angle's rate and gradients; every triangle then the forces of its stretch on its corners and the moments of
-its curvature about its sides; a node gathers both. With d the adjoints of the forces, which are a motion of the nodes, all that a triangle
+Every fold leaves its angle and the angle's gradients; every triangle then the forces of its stretch on its corners and the moments of its
+curvature about its sides; a node gathers both. With d the adjoints of the forces, which are a motion of the nodes, all that a triangle
 adds on the way back is the derivative of stress : strain(d) + moment : curvature(d), strain(d) and curvature(d) being the changes by that
-motion; a fold passes on what it gets by its angle, its rate and its change.
+motion; a fold passes on what it gets by its angle and its change.
+
+Damping does the same with rates in the place of strains and angles: those of the velocities before a round (``rounds``), at places that
+stay.
 """
 
 import warp as wp
+
+from .terms.stages import SHEETS
 
 __all__ = ["make_back_shells", "make_shells"]
 
@@ -14,8 +19,8 @@ FLAT = 1.0e-12  # m^2: less than a face
 
 
 def shell_functions(kit):
-    """(creased, measure, tangents, spread, strained, changed): what both ways share."""
-    R, vec, World, get_x, get_v = kit.R, kit.vec, kit.World, kit.get_x, kit.get_v
+    """(creased, measure, turning, tangents, placed, moving, spread, strained, changed): what both ways share."""
+    R, vec, World, get_x = kit.R, kit.vec, kit.World, kit.get_x
 
     @wp.func
     def creased(a: vec, b: vec, c: vec, d: vec):
@@ -34,17 +39,20 @@ def shell_functions(kit):
 
     @wp.func
     def measure(w: World, slot: int, h: int):
-        """Leave the angle of fold ``h`` and its rate; the angle's gradients."""
+        """Leave the angle of fold ``h``; its gradients."""
         i = slot * w.nodes + w.fold[h, 0]
         j = slot * w.nodes + w.fold[h, 1]
         k = slot * w.nodes + w.fold[h, 2]
         o = slot * w.nodes + w.fold[h, 3]
         angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, o))
-        w.angle[h, 0] = angle - w.rest_angle[h]
-        w.angle[h, 1] = (
-            wp.dot(ga, get_v(w.state, i)) + wp.dot(gb, get_v(w.state, j)) + wp.dot(gc, get_v(w.state, k)) + wp.dot(gd, get_v(w.state, o))
-        )
+        w.angle[h] = angle - w.rest_angle[h]
         return ga, gb, gc, gd
+
+    @wp.func
+    def turning(w: World, row: int, r: int, h: int, ga: vec, gb: vec, gc: vec, gd: vec):
+        """The rate of the angle of fold ``h`` with these gradients, by velocities before round ``r``."""
+        near = wp.dot(ga, w.eased[row, r, w.fold[h, 0]]) + wp.dot(gb, w.eased[row, r, w.fold[h, 1]])
+        return near + wp.dot(gc, w.eased[row, r, w.fold[h, 2]]) + wp.dot(gd, w.eased[row, r, w.fold[h, 3]])
 
     @wp.func
     def tangents(w: World, f: int, a: vec, b: vec, c: vec):
@@ -52,6 +60,19 @@ def shell_functions(kit):
         p = b - a
         q = c - a
         return p * w.flattened[f, 0] + q * w.flattened[f, 2], p * w.flattened[f, 1] + q * w.flattened[f, 3]
+
+    @wp.func
+    def placed(w: World, slot: int, f: int):
+        """The tangents of triangle ``f``."""
+        at = slot * w.nodes
+        s, t = tangents(w, f, get_x(w.state, at + w.panel[f, 0]), get_x(w.state, at + w.panel[f, 1]), get_x(w.state, at + w.panel[f, 2]))
+        return s, t
+
+    @wp.func
+    def moving(w: World, row: int, r: int, f: int):
+        """How fast they change by velocities before round ``r``."""
+        u, v = tangents(w, f, w.eased[row, r, w.panel[f, 0]], w.eased[row, r, w.panel[f, 1]], w.eased[row, r, w.panel[f, 2]])
+        return u, v
 
     @wp.func
     def spread(w: World, f: int, s: vec, t: vec):
@@ -68,15 +89,43 @@ def shell_functions(kit):
         """Its change as the tangents change by ``u`` and ``v``."""
         return vec(wp.dot(s, u), wp.dot(t, v), (wp.dot(s, v) + wp.dot(t, u)) * R(0.5))
 
-    return creased, measure, tangents, spread, strained, changed
+    return creased, measure, turning, tangents, placed, moving, spread, strained, changed
 
 
 def make_shells(kit):
-    """(crease, panel, draped): leave a fold's angle; leave a triangle's forces and moments; what a node gets of them."""
-    vec, World, get_x, get_v = kit.vec, kit.World, kit.get_x, kit.get_v
+    """(crease, panel, ease_fold, ease_panel, draped): leave a fold's angle, a triangle's forces and moments, and the same of damping by
+    velocities before a round; what a node gets of them.
+    """
+    vec, World = kit.vec, kit.World
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
-    load_membrane, load_plate = kit.load["membrane"], kit.load["plate"]
-    _creased, measure, tangents, spread, strained, changed = shell_functions(kit)
+    viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
+    load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
+    _creased, measure, turning, _tangents, placed, moving, spread, strained, changed = shell_functions(kit)
+
+    @wp.func
+    def leave(w: World, f: int, s: vec, t: vec, stress: vec):
+        """Leave what stress resultants, times the area, do to the corners of triangle ``f``."""
+        second, third = spread(w, f, s * -stress[0] - t * stress[2], s * -stress[2] - t * stress[1])
+        w.panel_force[f, 0] = -second - third
+        w.panel_force[f, 1] = second
+        w.panel_force[f, 2] = third
+
+    @wp.func
+    def curvature(w: World, f: int):
+        """What the numbers of the folds at its sides make of triangle ``f``."""
+        found = vec()
+        for c in range(w.panel_side.shape[1]):
+            h = w.panel_side[f, c]
+            if h >= 0:
+                found += w.curving[f, c] * w.angle[h]
+        return found
+
+    @wp.func
+    def leave_moments(w: World, f: int, m: vec):
+        """Leave what moments, times the area, do at its sides."""
+        twice = vec(m[0], m[1], m[2] + m[2])
+        for c in range(w.panel_side.shape[1]):
+            w.panel_moment[f, c] = wp.dot(twice, w.curving[f, c])
 
     @wp.func
     def crease(w: World, slot: int, h: int):
@@ -88,30 +137,22 @@ def make_shells(kit):
 
     @wp.func
     def panel(w: World, slot: int, b: int, f: int):
-        p_membrane = load_membrane(w.table, b)
-        p_plate = load_plate(w.table, b)
-        i = slot * w.nodes + w.panel[f, 0]
-        j = slot * w.nodes + w.panel[f, 1]
-        k = slot * w.nodes + w.panel[f, 2]
-        s, t = tangents(w, f, get_x(w.state, i), get_x(w.state, j), get_x(w.state, k))
-        u, v = tangents(w, f, get_v(w.state, i), get_v(w.state, j), get_v(w.state, k))
-        stress = membrane(strained(s, t), changed(s, t, u, v), p_membrane) * -w.panel_area[f]
-        second, third = spread(w, f, s * stress[0] + t * stress[2], s * stress[2] + t * stress[1])
-        w.panel_force[f, 0] = -second - third
-        w.panel_force[f, 1] = second
-        w.panel_force[f, 2] = third
+        s, t = placed(w, slot, f)
+        leave(w, f, s, t, membrane(strained(s, t), load_membrane(w.table, b)) * w.panel_area[f])
         if wp.static(creasing):
-            kappa = vec()
-            rate = vec()
-            for c in range(w.panel_side.shape[1]):
-                h = w.panel_side[f, c]
-                if h >= 0:
-                    kappa += w.curving[f, c] * w.angle[h, 0]
-                    rate += w.curving[f, c] * w.angle[h, 1]
-            m = plate(kappa, rate, p_plate) * w.bent_area[f]
-            twice = vec(m[0], m[1], m[2] + m[2])
-            for c in range(w.panel_side.shape[1]):
-                w.panel_moment[f, c] = wp.dot(twice, w.curving[f, c])
+            leave_moments(w, f, plate(curvature(w, f), load_plate(w.table, b)) * w.bent_area[f])
+
+    @wp.func
+    def ease_fold(w: World, row: int, r: int, h: int):
+        w.angle[h] = turning(w, row, r, h, w.slope[h, 0], w.slope[h, 1], w.slope[h, 2], w.slope[h, 3])
+
+    @wp.func
+    def ease_panel(w: World, slot: int, row: int, r: int, b: int, f: int):
+        s, t = placed(w, slot, f)
+        u, v = moving(w, row, r, f)
+        leave(w, f, s, t, viscous_membrane(changed(s, t, u, v), load_viscous_membrane(w.table, b)) * w.panel_area[f])
+        if wp.static(creasing):
+            leave_moments(w, f, viscous_plate(curvature(w, f), load_viscous_plate(w.table, b)) * w.bent_area[f])
 
     @wp.func
     def draped(w: World, i: int):
@@ -128,30 +169,40 @@ def make_shells(kit):
                 force -= w.slope[h, w.fold_of[e] % 4] * moment
         return force
 
-    return crease, panel, draped
+    return crease, panel, ease_fold, ease_panel, draped
 
 
 def make_back_shells(kit):
-    """(back_crease, back_panel, back_fold, redraped): a fold's angle again, with its change by the adjoints of forces; the adjoints of a
-    triangle and of a fold; what a node gets of them.
+    """(back_crease, back_panel, back_fold, back_ease_crease, back_ease_panel, back_ease_fold, redraped): a fold's angle again, with its
+    change by the adjoints of forces; the adjoints of a triangle and of a fold; the same of damping in a round; what a node gets of them.
     """
-    R, vec, World, Adjoint, get_x, get_v = kit.R, kit.vec, kit.World, kit.Adjoint, kit.get_x, kit.get_v
-    pm, pp = kit.vectors["membrane"], kit.vectors["plate"]
+    R, vec, World, Adjoint, get_x = kit.R, kit.vec, kit.World, kit.Adjoint, kit.get_x
+    pm, pp, pd, pf = (kit.vectors[s] for s in SHEETS)
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
-    load_membrane, load_plate = kit.load["membrane"], kit.load["plate"]
-    give_membrane, give_plate = kit.give_all["membrane"], kit.give_all["plate"]
-    creased, measure, tangents, spread, strained, changed = shell_functions(kit)
+    viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
+    load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
+    give_membrane, give_plate, give_viscous_membrane, give_viscous_plate = (kit.give_all[s] for s in SHEETS)
+    creased, measure, turning, tangents, placed, moving, spread, strained, changed = shell_functions(kit)
 
     @wp.func
-    def stretch_dot(s: vec, t: vec, u: vec, v: vec, p: pm, ds: vec, dt: vec):
-        m = membrane(strained(s, t), changed(s, t, u, v), p)
-        e = changed(s, t, ds, dt)
-        return m[0] * e[0] + m[1] * e[1] + R(2.0) * m[2] * e[2]
+    def work(stress: vec, strain: vec):
+        return stress[0] * strain[0] + stress[1] * strain[1] + R(2.0) * stress[2] * strain[2]
 
     @wp.func
-    def plate_dot(kappa: vec, rate: vec, p: pp, d: vec):
-        m = plate(kappa, rate, p)
-        return m[0] * d[0] + m[1] * d[1] + R(2.0) * m[2] * d[2]
+    def stretch_dot(s: vec, t: vec, p: pm, ds: vec, dt: vec):
+        return work(membrane(strained(s, t), p), changed(s, t, ds, dt))
+
+    @wp.func
+    def plate_dot(kappa: vec, p: pp, d: vec):
+        return work(plate(kappa, p), d)
+
+    @wp.func
+    def eased_stretch_dot(s: vec, t: vec, u: vec, v: vec, p: pd, ds: vec, dt: vec):
+        return work(viscous_membrane(changed(s, t, u, v), p), changed(s, t, ds, dt))
+
+    @wp.func
+    def eased_plate_dot(rate: vec, p: pf, d: vec):
+        return work(viscous_plate(rate, p), d)
 
     @wp.func
     def crease_dot(
@@ -177,104 +228,152 @@ def make_back_shells(kit):
         return angle * on + rate * on_rate + change * on_change
 
     @wp.func
-    def back_fold(w: World, a: Adjoint, slot: int, h: int):
-        """Leave the adjoints of fold ``h`` at its nodes, of their x and of their v, from what its triangles left."""
+    def summed(a: Adjoint, w: World, h: int, k: int):
+        """What the two triangles at fold ``h`` left of number ``k``."""
         one = w.beside[h, 0]
         two = w.beside[h, 1]
-        on = a.panel_angle[one // 3, one % 3, 0] + a.panel_angle[two // 3, two % 3, 0]
-        on_rate = a.panel_angle[one // 3, one % 3, 1] + a.panel_angle[two // 3, two % 3, 1]
-        on_change = a.panel_angle[one // 3, one % 3, 2] + a.panel_angle[two // 3, two % 3, 2]
-        i = slot * w.nodes + w.fold[h, 0]
-        j = slot * w.nodes + w.fold[h, 1]
-        k = slot * w.nodes + w.fold[h, 2]
-        o = slot * w.nodes + w.fold[h, 3]
-        xa, xb, xc, xd, va, vb, vc, vd, _a, _b, _c, _d, _on, _rate, _change = wp.grad(crease_dot)(
-            get_x(w.state, i),
-            get_x(w.state, j),
-            get_x(w.state, k),
-            get_x(w.state, o),
-            get_v(w.state, i),
-            get_v(w.state, j),
-            get_v(w.state, k),
-            get_v(w.state, o),
-            a.force[slot % 2, w.fold[h, 0]],
-            a.force[slot % 2, w.fold[h, 1]],
-            a.force[slot % 2, w.fold[h, 2]],
-            a.force[slot % 2, w.fold[h, 3]],
-            on,
-            on_rate,
-            on_change,
-        )
-        a.folded[h, 0] = xa
-        a.folded[h, 1] = xb
-        a.folded[h, 2] = xc
-        a.folded[h, 3] = xd
-        a.folded[h, 4] = va
-        a.folded[h, 5] = vb
-        a.folded[h, 6] = vc
-        a.folded[h, 7] = vd
+        return a.panel_angle[one // 3, one % 3, k] + a.panel_angle[two // 3, two % 3, k]
+
+    @wp.func
+    def leave_corners(w: World, a: Adjoint, f: int, first: int, gs: vec, gt: vec):
+        """Leave what the corners of triangle ``f`` get of the columns' adjoints, from ``first`` on."""
+        second, third = spread(w, f, gs, gt)
+        a.paneled[f, first] = -second - third
+        a.paneled[f, first + 1] = second
+        a.paneled[f, first + 2] = third
 
     @wp.func
     def back_crease(w: World, a: Adjoint, slot: int, h: int):
-        """Leave the angle of fold ``h``, its rate, and its change as nodes move by the adjoints of their forces."""
+        """Leave the angle of fold ``h``, and its change as nodes move by the adjoints of their forces."""
         ga, gb, gc, gd = measure(w, slot, h)
         change = wp.dot(ga, a.force[slot % 2, w.fold[h, 0]]) + wp.dot(gb, a.force[slot % 2, w.fold[h, 1]])
         a.angle[h] = change + wp.dot(gc, a.force[slot % 2, w.fold[h, 2]]) + wp.dot(gd, a.force[slot % 2, w.fold[h, 3]])
 
     @wp.func
+    def back_ease_crease(w: World, a: Adjoint, slot: int, r: int, h: int):
+        """Leave the rate of the angle of fold ``h`` before round ``r``, and its change as nodes move by the adjoints of velocities."""
+        ga, gb, gc, gd = measure(w, slot, h)
+        w.angle[h] = turning(w, slot, r, h, ga, gb, gc, gd)
+        change = wp.dot(ga, a.eased[w.fold[h, 0]]) + wp.dot(gb, a.eased[w.fold[h, 1]])
+        a.angle[h] = change + wp.dot(gc, a.eased[w.fold[h, 2]]) + wp.dot(gd, a.eased[w.fold[h, 3]])
+
+    @wp.func
     def back_panel(w: World, a: Adjoint, slot: int, b: int, f: int):
-        """Leave the adjoints of triangle ``f`` at its corners, of their x and of their v, and at its sides."""
-        p_membrane = load_membrane(w.table, b)
-        p_plate = load_plate(w.table, b)
-        i = slot * w.nodes + w.panel[f, 0]
-        j = slot * w.nodes + w.panel[f, 1]
-        k = slot * w.nodes + w.panel[f, 2]
-        s, t = tangents(w, f, get_x(w.state, i), get_x(w.state, j), get_x(w.state, k))
-        u, v = tangents(w, f, get_v(w.state, i), get_v(w.state, j), get_v(w.state, k))
+        """Leave the adjoints of triangle ``f`` at its corners and at its sides."""
+        s, t = placed(w, slot, f)
         ds, dt = tangents(w, f, a.force[slot % 2, w.panel[f, 0]], a.force[slot % 2, w.panel[f, 1]], a.force[slot % 2, w.panel[f, 2]])
-        gs, gt, gu, gv, gp, _ds, _dt = wp.grad(stretch_dot)(s, t, u, v, p_membrane, ds, dt)
-        area = w.panel_area[f]
-        second, third = spread(w, f, gs * -area, gt * -area)
-        a.paneled[f, 0] = -second - third
-        a.paneled[f, 1] = second
-        a.paneled[f, 2] = third
-        second, third = spread(w, f, gu * -area, gv * -area)
-        a.paneled[f, 3] = -second - third
-        a.paneled[f, 4] = second
-        a.paneled[f, 5] = third
+        gs, gt, gp, _ds, _dt = wp.grad(stretch_dot)(s, t, load_membrane(w.table, b), ds, dt)
+        area = -w.panel_area[f]
+        leave_corners(w, a, f, 0, gs * area, gt * area)
         if a.wants_table > 0:
-            give_membrane(a.membrane, f, gp * -area)
+            give_membrane(a.membrane, f, gp * area)
         if wp.static(creasing):
             kappa = vec()
+            change = vec()
+            for c in range(w.panel_side.shape[1]):
+                h = w.panel_side[f, c]
+                if h >= 0:
+                    kappa += w.curving[f, c] * w.angle[h]
+                    change += w.curving[f, c] * a.angle[h]
+            area = -w.bent_area[f]
+            gk, gp_plate, gd = wp.grad(plate_dot)(kappa, load_plate(w.table, b), change)
+            for c in range(w.panel_side.shape[1]):
+                a.panel_angle[f, c, 0] = wp.dot(gk, w.curving[f, c]) * area
+                a.panel_angle[f, c, 1] = wp.dot(gd, w.curving[f, c]) * area
+            if a.wants_table > 0:
+                give_plate(a.plate, f, gp_plate * area)
+
+    @wp.func
+    def back_ease_panel(w: World, a: Adjoint, slot: int, r: int, b: int, f: int, share: R):
+        """The same of the damping of round ``r``, which is ``share`` seconds long: at the corners of their x and of their v."""
+        s, t = placed(w, slot, f)
+        u, v = moving(w, slot, r, f)
+        ds, dt = tangents(w, f, a.eased[w.panel[f, 0]], a.eased[w.panel[f, 1]], a.eased[w.panel[f, 2]])
+        gs, gt, gu, gv, gp, _ds, _dt = wp.grad(eased_stretch_dot)(s, t, u, v, load_viscous_membrane(w.table, b), ds, dt)
+        area = -w.panel_area[f] * share
+        leave_corners(w, a, f, 0, gs * area, gt * area)
+        leave_corners(w, a, f, 3, gu * area, gv * area)
+        if a.wants_table > 0:
+            give_viscous_membrane(a.viscous_membrane, f, gp * area)
+        if wp.static(creasing):
             rate = vec()
             change = vec()
             for c in range(w.panel_side.shape[1]):
                 h = w.panel_side[f, c]
                 if h >= 0:
-                    kappa += w.curving[f, c] * w.angle[h, 0]
-                    rate += w.curving[f, c] * w.angle[h, 1]
+                    rate += w.curving[f, c] * w.angle[h]
                     change += w.curving[f, c] * a.angle[h]
-            area = w.bent_area[f]
-            gk, gr, gp_plate, gd = wp.grad(plate_dot)(kappa, rate, p_plate, change)
+            area = -w.bent_area[f] * share
+            gr, gp_plate, gd = wp.grad(eased_plate_dot)(rate, load_viscous_plate(w.table, b), change)
             for c in range(w.panel_side.shape[1]):
-                a.panel_angle[f, c, 0] = wp.dot(gk, w.curving[f, c]) * -area
-                a.panel_angle[f, c, 1] = wp.dot(gr, w.curving[f, c]) * -area
-                a.panel_angle[f, c, 2] = wp.dot(gd, w.curving[f, c]) * -area
+                a.panel_angle[f, c, 0] = wp.dot(gr, w.curving[f, c]) * area
+                a.panel_angle[f, c, 1] = wp.dot(gd, w.curving[f, c]) * area
             if a.wants_table > 0:
-                give_plate(a.plate, f, gp_plate * -area)
+                give_viscous_plate(a.viscous_plate, f, gp_plate * area)
 
     @wp.func
-    def redraped(w: World, a: Adjoint, i: int):
-        """Adjoints of node ``i``'s position and velocity by the triangles and folds around it."""
-        gx = vec()
-        gv = vec()
+    def corners(w: World, slot: int, h: int):
+        at = slot * w.nodes
+        return (
+            get_x(w.state, at + w.fold[h, 0]),
+            get_x(w.state, at + w.fold[h, 1]),
+            get_x(w.state, at + w.fold[h, 2]),
+            get_x(w.state, at + w.fold[h, 3]),
+        )
+
+    @wp.func
+    def back_fold(w: World, a: Adjoint, slot: int, h: int):
+        """Leave the adjoints of fold ``h`` at its nodes, from what its triangles left."""
+        xa, xb, xc, xd = corners(w, slot, h)
+        ta = a.force[slot % 2, w.fold[h, 0]]
+        tb = a.force[slot % 2, w.fold[h, 1]]
+        tc = a.force[slot % 2, w.fold[h, 2]]
+        td = a.force[slot % 2, w.fold[h, 3]]
+        on = summed(a, w, h, 0)
+        on_change = summed(a, w, h, 1)
+        ga, gb, gc, gd, _a, _b, _c, _d, _e, _f, _g, _h, _on, _or, _oc = wp.grad(crease_dot)(
+            xa, xb, xc, xd, vec(), vec(), vec(), vec(), ta, tb, tc, td, on, R(0.0), on_change
+        )
+        a.folded[h, 0] = ga
+        a.folded[h, 1] = gb
+        a.folded[h, 2] = gc
+        a.folded[h, 3] = gd
+
+    @wp.func
+    def back_ease_fold(w: World, a: Adjoint, slot: int, r: int, h: int):
+        """The same of the damping of round ``r``: of their x, and of their v."""
+        xa, xb, xc, xd = corners(w, slot, h)
+        va = w.eased[slot, r, w.fold[h, 0]]
+        vb = w.eased[slot, r, w.fold[h, 1]]
+        vc = w.eased[slot, r, w.fold[h, 2]]
+        vd = w.eased[slot, r, w.fold[h, 3]]
+        ta = a.eased[w.fold[h, 0]]
+        tb = a.eased[w.fold[h, 1]]
+        tc = a.eased[w.fold[h, 2]]
+        td = a.eased[w.fold[h, 3]]
+        on_rate = summed(a, w, h, 0)
+        on_change = summed(a, w, h, 1)
+        ga, gb, gc, gd, ha, hb, hc, hd, _e, _f, _g, _h, _on, _or, _oc = wp.grad(crease_dot)(
+            xa, xb, xc, xd, va, vb, vc, vd, ta, tb, tc, td, R(0.0), on_rate, on_change
+        )
+        a.folded[h, 0] = ga
+        a.folded[h, 1] = gb
+        a.folded[h, 2] = gc
+        a.folded[h, 3] = gd
+        a.folded[h, 4] = ha
+        a.folded[h, 5] = hb
+        a.folded[h, 6] = hc
+        a.folded[h, 7] = hd
+
+    @wp.func
+    def redraped(w: World, a: Adjoint, i: int, speed: int):
+        """Adjoint of node ``i``'s position (``speed`` 0) or velocity (1) by the triangles and folds around it."""
+        g = vec()
         for e in range(w.panel_row[i], w.panel_row[i + 1]):
-            gx += a.paneled[w.panel_of[e] // 3, w.panel_of[e] % 3]
-            gv += a.paneled[w.panel_of[e] // 3, w.panel_of[e] % 3 + 3]
+            g += a.paneled[w.panel_of[e] // 3, w.panel_of[e] % 3 + 3 * speed]
         if wp.static(creasing):
             for e in range(w.fold_row[i], w.fold_row[i + 1]):
-                gx += a.folded[w.fold_of[e] // 4, w.fold_of[e] % 4]
-                gv += a.folded[w.fold_of[e] // 4, w.fold_of[e] % 4 + 4]
-        return gx, gv
+                g += a.folded[w.fold_of[e] // 4, w.fold_of[e] % 4 + 4 * speed]
+        return g
 
-    return back_crease, back_panel, back_fold, redraped
+    return back_crease, back_panel, back_fold, back_ease_crease, back_ease_panel, back_ease_fold, redraped

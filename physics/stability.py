@@ -12,10 +12,11 @@ from .facets import enclosed
 from .hinges import FOLD
 from .materials import point_twin
 from .rounds import reach
+from .sheets import damping_forces as sheet_damping
 from .sheets import internal_forces as sheet_forces
 from .solids import damping_forces, internal_forces
 from .system import System
-from .terms.stages import CELLS, SHEETS, HardTerm, SolidTerm
+from .terms.stages import CELLS, HardTerm, SolidTerm
 
 __all__ = ["stable_rounds", "stable_step", "stable_substeps"]
 
@@ -47,8 +48,8 @@ def stable_step(system: System) -> float:
     A solid adds the largest eigenvalue of its cells' stiffness in the shape in which it starts, found by Lanczos' method, with all that
     alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
-    A sheet adds the largest eigenvalue of its stiffness in the shape in which it starts, found in the same way, and that of its damping.
-    What stiffens as it is strained or bent is not in it.
+    A sheet adds the largest eigenvalue of its stiffness in the shape in which it starts, found in the same way. What stiffens as it is
+    strained or bent is not in it. What is viscous in solids and sheets is taken in rounds (``stable_rounds``) and limits no substep.
 
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.
@@ -70,9 +71,9 @@ def stable_step(system: System) -> float:
     inside = np.flatnonzero(free)
     if not len(inside):
         return math.inf
-    lam = float((stiffness[inside] / system.masses[inside]).max()) + _fastest(system, free, "solid")
+    lam = float((stiffness[inside] / system.masses[inside]).max())
+    lam += _fastest(system, free, "solid") + _sheet_fastest(system, free, damping=False)
     mu = float((damping[inside] / system.masses[inside]).max())
-    lam, mu = lam + _sheet_fastest(system, free, damping=False), mu + _sheet_fastest(system, free, damping=True)
     for term in system.terms:
         if isinstance(term, HardTerm):
             hard = term.hardness(**term.values)
@@ -143,34 +144,31 @@ def _largest(pull, masses, free):
 
 def _sheet_fastest(system, free, *, damping):
     """Largest eigenvalue [1/s^2, or 1/s of the ``damping``] of the free nodes' stiffness over mass, by a sheet's terms, as it starts."""
-    own = {stage: [t for t in system.terms if t.stage == stage] for stage in SHEETS}
-    if system.sheet is None or not any(own.values()):
+    own = [[t for t in system.terms if t.stage == ("viscous_" if damping else "") + stage] for stage in ("membrane", "plate")]
+    if system.sheet is None or not any(own):
         return 0.0
     x, step = system.positions, 1e-6 * np.sqrt(system.sheet.areas.min())
-
-    def law(stage):
-        return lambda state, rate: sum((t.twin(state, rate, **t.values) for t in own[stage]), np.zeros_like(state))
-
-    def at(place, speed):
-        return sheet_forces(system.sheet, place, speed, law("membrane"), law("plate"))
+    membrane, plate = (lambda given, terms=terms: sum((t.twin(given, **t.values) for t in terms), np.zeros_like(given)) for terms in own)
 
     def pull(way):
-        small = step / max(np.abs(way).max(), 1e-300)
         if damping:
-            return (at(x, small * way) - at(x, -small * way)) / (2 * small)
-        return (at(x + small * way, 0 * x) - at(x - small * way, 0 * x)) / (2 * small)
+            return sheet_damping(system.sheet, x, way, membrane, plate)
+        small = step / max(np.abs(way).max(), 1e-300)
+        ahead, behind = (sheet_forces(system.sheet, x + move, membrane, plate) for move in (small * way, -small * way))
+        return (ahead - behind) / (2 * small)
 
     return _largest(pull, system.masses, free[: system.particle_count])
 
 
 def stable_rounds(system: System, dt: float) -> int:
-    """In how many rounds a substep of ``dt`` seconds can take the damping of a solid (``physics.rounds``): 1 where it has none.
+    """In how many rounds a substep of ``dt`` seconds can take the damping of a solid or a sheet (``physics.rounds``): 1 where it has none.
 
     Raises ValueError where that is more than ``MOST_ROUNDS``.
     """
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
     free[system.grips[system.grips >= 0]] = False
-    single = dt * _fastest(system, free, "viscous") / 2  # how many of the longest single steps
+    fastest = _fastest(system, free, "viscous") + _sheet_fastest(system, free, damping=True)
+    single = dt * fastest / 2  # how many of the longest single steps
     rounds = next((n for n in (1, *range(2, MOST_ROUNDS + 1, 2)) if reach(n) >= single), None)
     if rounds is None:
         where = f" (system {system.name})" if system.name else ""

@@ -127,8 +127,8 @@ def random_inputs(stage, rng):
         known = dict(deformed=deformed, rate=10 * rate, stress=stress, home=x[0], at=x[0], mu=positive[0], lame=positive[1])
         known |= dict(q=(q + np.swapaxes(q, 1, 2)) / 2, dt=0.1 * positive[2])
         return [known[name] for name in ARGUMENTS[stage]]
-    if stage in SHEETS:  # strains, or curvatures that are as sharp as a hand, with their rates
-        return [0.2 * x[0] if stage == "membrane" else 30.0 * x[0], 10 * v[0]]
+    if stage in SHEETS:  # strains, curvatures that are as sharp as a hand, rates
+        return [{"membrane": 0.2, "plate": 30.0}.get(stage, 10.0) * x[0]]
     if stage == "layer":  # within the thickness and beyond
         return [0.03 * x[0], v[0], positive[0]]
     if stage == "facet":

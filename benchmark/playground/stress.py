@@ -74,7 +74,7 @@ def sheet_stress(system: System, nodes) -> np.ndarray:
     metric = np.swapaxes(tangents, 1, 2) @ tangents
     strain = np.stack([(metric[:, 0, 0] - 1) / 2, (metric[:, 1, 1] - 1) / 2, metric[:, 0, 1] / 2], -1)
     terms = [t for t in system.terms if isinstance(t, MembraneTerm)]
-    a, b, c = np.sum([t.twin(strain, np.zeros_like(strain), **t.values) for t in terms], axis=0).T
+    a, b, c = np.sum([t.twin(strain, **t.values) for t in terms], axis=0).T
     within = np.stack([np.stack([a, c], -1), np.stack([c, b], -1)], -1)
     grown = np.sqrt(np.maximum(np.linalg.det(metric), 1e-12))
     return von_mises(tangents @ within @ np.swapaxes(tangents, 1, 2) / grown[:, None, None])

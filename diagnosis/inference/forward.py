@@ -245,9 +245,9 @@ class Forward:
         seen = {c.effect.seen: None for c in candidates if c.effect.seen}
         return replace(self, simulators=tuple(made), acting=self.acting | acting, seen=(*self.seen, *seen))
 
-    def with_scenes(self, scenes, finer: int = 1) -> Forward:
-        """Other scenes of the same recordings, in steps ``finer`` times as many."""
-        made = [replace(s, scene=scene, finer=finer) for s, scene in zip(self.simulators, scenes, strict=True)]
+    def with_scenes(self, scenes) -> Forward:
+        """Other scenes of the same recordings."""
+        made = [replace(s, scene=scene) for s, scene in zip(self.simulators, scenes, strict=True)]
         return replace(self, simulators=tuple(made))
 
 

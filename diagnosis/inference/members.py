@@ -1,4 +1,4 @@
-"""Sound twins of recordings that differ from the reference in what nobody knows: cells, shape, steps, hands, contact, material."""
+"""Sound twins of recordings that differ from the reference in what nobody knows: cells, shape, hands, contact, material."""
 
 from __future__ import annotations
 
@@ -28,20 +28,18 @@ LESS = 0.8  # of a shift that is too dear, again and again
 @dataclass(frozen=True)
 class Member:
     """cells: edge over the reference's; turn (3,) of the grid as a rotation vector [rad], ``offset`` (3,) in cells; ``seed`` of the points
-    that its shape is told by; ``finer``: how many times as many steps; ``shift`` (n,) of the unknowns, in prior standard deviations, and
-    further ``values``."""
+    that its shape is told by; ``shift`` (n,) of the unknowns, in prior standard deviations, and further ``values``."""
 
     cells: float
     turn: np.ndarray
     offset: np.ndarray
     seed: int
-    finer: int
     shift: np.ndarray
     values: Mapping[str, float]
 
 
 def drawn(forward: Forward, config: DiagnosisConfig, seed: int = 0) -> list[Member]:
-    """``config.members`` members, space-filling. Of a small number of members every second one has twice as many steps."""
+    """``config.members`` members, space-filling."""
     low, high = forward.bounds
     within = [(max(a, -2.0), min(b, 2.0)) for a, b in zip(low, high, strict=True)]
     span = np.log(config.stiffest)
@@ -58,7 +56,7 @@ def drawn(forward: Forward, config: DiagnosisConfig, seed: int = 0) -> list[Memb
         shift = np.array([np.clip(config.broad * row[f"shift_{j}"], *(within[j])) for j in range(len(low))])
         shift = affordable(shift, forward, config)
         values = {name: float(np.exp(row[name]) * usual[name]) for name in rates}
-        found.append(Member(row["cells"], np.radians(config.turned) * turn, offset, seed + k, 1 + k % 2, shift, values))
+        found.append(Member(row["cells"], np.radians(config.turned) * turn, offset, seed + k, shift, values))
     return found
 
 
@@ -77,7 +75,7 @@ def ran(members: Sequence[Member], forward: Forward, config: DiagnosisConfig) ->
         scenes: list[Scene] = []
         for simulator, one in zip(forward.simulators, forward.recordings, strict=True):
             scenes.append(scene_of(member, simulator.scene, one.observed(), config, like=scenes[0].body if scenes else None))
-        return forward.with_scenes(scenes, member.finer).at(member.shift, member.values)[0]
+        return forward.with_scenes(scenes).at(member.shift, member.values)[0]
 
     return shared(members, forward, run)
 

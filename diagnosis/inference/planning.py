@@ -189,7 +189,7 @@ def _error(one: _Moved, evidence: Evidence, prior: Prior, config: DiagnosisConfi
 
     def run(member: Member, now: Forward) -> np.ndarray:  # its body and hands are told by the recording
         scene = scene_of(member, was.simulators[0].scene, was.recordings[0].observed(), config)
-        return now.with_scenes([_led(scene, one.motion)], member.finer).at(member.shift, member.values)[0]
+        return now.with_scenes([_led(scene, one.motion)]).at(member.shift, member.values)[0]
 
     left = shared(evidence.members, forward, run) - forward.at(evidence.settled)
     left = left[np.isfinite(left).all(1)]

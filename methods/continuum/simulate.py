@@ -17,6 +17,7 @@ from ...physics.stability import stable_rounds, stable_substeps
 from ...physics.system import FILLED, System
 from ...physics.terms import CoulombGround, Gravity, LayerContact, SoftGrip
 from ...physics.terms.base import Term
+from ...physics.terms.stages import EASED
 from .bodies import Body
 from .scene import SAME, Scene
 from .unknowns import rounded_up
@@ -32,7 +33,18 @@ FAR = 1e3  # m
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
 SHORTER = (2, 8)  # times as many steps for runs that blow up: a cell that is crushed to half its width is some ten times as stiff
 LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
-LIMITING = ("setup", "axial", "hinge", "facet", "solid", "viscous", "membrane", "plate", "grip", "touch")  # stages that limit substeps
+LIMITING = (
+    "setup",
+    "axial",
+    "hinge",
+    "facet",
+    "solid",
+    *EASED,
+    "membrane",
+    "plate",
+    "grip",
+    "touch",
+)  # stages that limit substeps, or ask for rounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +53,12 @@ class Simulator:
 
     ``values`` are dicts with the values of the body's kind, any parameter of a term by its name, and for hand k ``grip<k>_shift_x, _y, _z``
     [m] and ``grip<k>_reach``; ``frame_rate`` [1/s] where the scene's is not known; what is not there has its usual value.
-    ``extra`` are further terms; steps are ``finer`` times as many as are stable.
+    ``extra`` are further terms.
     """
 
     scene: Scene
     extra: tuple[Term, ...] = ()
     device: str = "cpu"
-    finer: int = 1
     latest: Latest[Batch] = field(default_factory=Latest, init=False, repr=False)
     unpulled: Latest[np.ndarray] = field(default_factory=Latest, init=False, repr=False)  # where nodes rest without further pulls
 
@@ -223,7 +234,7 @@ class Simulator:
     def _batch(self, values, frames, controllers=None, times=1):
         """(the batch of complete ``values``, with ``times`` as many substeps as usual, its inputs)."""
         substeps, rounds = np.array([self._steps(v) for v in values]).T
-        substeps = self.finer * times * substeps
+        substeps = times * substeps
 
         def made():
             return Batch([self.system] * len(values), fps=self.scene.fps, substeps=substeps, rounds=rounds, device=self.device)

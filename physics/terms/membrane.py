@@ -20,7 +20,7 @@ def in_plane(strain: Any, stiffness: Any, poisson: Any):
 
 
 @wp.func
-def stretch(strain: Any, rate: Any, p: Any, o: int):
+def stretch(strain: Any, p: Any, o: int):
     return in_plane(strain, p[o], p[o + 1])
 
 
@@ -46,6 +46,6 @@ class Membrane(MembraneTerm):
     law = stretch
 
     @staticmethod
-    def twin(strain, rate, membrane_stiffness, membrane_poisson):
+    def twin(strain, membrane_stiffness, membrane_poisson):
         """The same law in numpy."""
         return in_plane_twin(strain, membrane_stiffness, membrane_poisson)

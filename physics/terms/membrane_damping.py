@@ -6,17 +6,17 @@ import warp as wp
 
 from ..parameters import Parameter
 from .membrane import in_plane, in_plane_twin
-from .stages import MembraneTerm
+from .stages import ViscousMembraneTerm
 
 __all__ = ["MembraneDamping"]
 
 
 @wp.func
-def resist(strain: Any, rate: Any, p: Any, o: int):
+def resist(rate: Any, p: Any, o: int):
     return in_plane(rate, p[o], p[o + 1])
 
 
-class MembraneDamping(MembraneTerm):
+class MembraneDamping(ViscousMembraneTerm):
     """S = eta h / (1 - nu^2) ((1 - nu) e' + nu tr(e') 1), e' the rate of Green's strain (Kelvin and Voigt).
 
     A membrane's damping time is eta h / (E h). Rigid motions are not damped.
@@ -30,6 +30,6 @@ class MembraneDamping(MembraneTerm):
     law = resist
 
     @staticmethod
-    def twin(strain, rate, membrane_viscosity, membrane_viscous_poisson):
+    def twin(rate, membrane_viscosity, membrane_viscous_poisson):
         """The same law in numpy."""
         return in_plane_twin(rate, membrane_viscosity, membrane_viscous_poisson)

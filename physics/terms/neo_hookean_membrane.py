@@ -13,7 +13,7 @@ FLATTEST = 0.02  # least det C that counts: beyond it a triangle is all but a li
 
 
 @wp.func
-def stretch(strain: Any, rate: Any, p: Any, o: int):
+def stretch(strain: Any, p: Any, o: int):
     one = type(p[o])(1.0)
     two = type(p[o])(2.0)
     a = one + two * strain[0]
@@ -37,7 +37,7 @@ class NeoHookeanMembrane(MembraneTerm):
     law = stretch
 
     @staticmethod
-    def twin(strain, rate, rubber_stiffness):
+    def twin(strain, rubber_stiffness):
         """The same law in numpy."""
         import numpy as np
 

@@ -22,7 +22,7 @@ def flexed(curvature: Any, rigidity: Any, poisson: Any):
 
 
 @wp.func
-def bend(curvature: Any, rate: Any, p: Any, o: int):
+def bend(curvature: Any, p: Any, o: int):
     return flexed(curvature, p[o], p[o + 1])
 
 
@@ -49,6 +49,6 @@ class PlateBending(PlateTerm):
     law = bend
 
     @staticmethod
-    def twin(curvature, rate, plate_rigidity, plate_poisson):
+    def twin(curvature, plate_rigidity, plate_poisson):
         """The same law in numpy."""
         return flexed_twin(curvature, plate_rigidity, plate_poisson)

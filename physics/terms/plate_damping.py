@@ -6,17 +6,17 @@ import warp as wp
 
 from ..parameters import Parameter
 from .plate_bending import flexed, flexed_twin
-from .stages import PlateTerm
+from .stages import ViscousPlateTerm
 
 __all__ = ["PlateDamping"]
 
 
 @wp.func
-def resist(curvature: Any, rate: Any, p: Any, o: int):
+def resist(rate: Any, p: Any, o: int):
     return flexed(rate, p[o], p[o + 1])
 
 
-class PlateDamping(PlateTerm):
+class PlateDamping(ViscousPlateTerm):
     """M = c ((1 - nu) k' + nu tr(k') 1) of the rate k' at which the curvature changes: a plate's damping time is c / B."""
 
     name = "plate_damping"
@@ -27,6 +27,6 @@ class PlateDamping(PlateTerm):
     law = resist
 
     @staticmethod
-    def twin(curvature, rate, plate_viscosity, plate_viscous_poisson):
+    def twin(rate, plate_viscosity, plate_viscous_poisson):
         """The same law in numpy."""
         return flexed_twin(rate, plate_viscosity, plate_viscous_poisson)

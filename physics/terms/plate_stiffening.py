@@ -13,7 +13,7 @@ LEAST = 1e-12  # 1/m^2 added to the square of a curvature: flat is not 0 / 0
 
 
 @wp.func
-def bend(curvature: Any, rate: Any, p: Any, o: int):
+def bend(curvature: Any, p: Any, o: int):
     squared = curvature[0] * curvature[0] + curvature[1] * curvature[1]
     squared += type(p[o])(2.0) * curvature[2] * curvature[2] + type(p[o])(LEAST)
     share = squared / (squared + p[o + 1] * p[o + 1])
@@ -35,7 +35,7 @@ class PlateStiffening(PlateTerm):
     law = bend
 
     @staticmethod
-    def twin(curvature, rate, plate_stiffening, plate_knee):
+    def twin(curvature, plate_stiffening, plate_knee):
         """The same law in numpy."""
         import numpy as np
 

@@ -3,7 +3,7 @@
 ``given`` are the arguments of the stage's laws, before ``p`` and ``o``; the numpy ``twin`` is given the same, and then the parameters.
 
 Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, layer, body, surface, touch, grip and
-observer terms, then v <- velocity(v + dt F / m), then damping in rounds or contacts, then move.
+observer terms, then v <- velocity(v + dt F / m), then what is viscous in a solid or a sheet in rounds, or contacts, then move.
 
 A solid is a grid of cells (``physics.grids``); deformed is the deformation gradient F (3, 3) from the grid's axes to the room, rate [1/s]
 its rate. ``home`` [m] is where the material was in frame 0. A solid that grew or flowed has a rest shape G of its own: laws but the
@@ -23,6 +23,7 @@ from .base import Term
 __all__ = [
     "ARGUMENTS",
     "CELLS",
+    "EASED",
     "SHEETS",
     "STAGED",
     "STAGES",
@@ -49,6 +50,8 @@ __all__ = [
     "SurfaceTerm",
     "TouchTerm",
     "VelocityTerm",
+    "ViscousMembraneTerm",
+    "ViscousPlateTerm",
     "ViscousTerm",
 ]
 
@@ -186,20 +189,33 @@ class ViscousTerm(KernelTerm):
 class MembraneTerm(KernelTerm):
     """The stress resultants of a sheet [N/m].
 
-    A sheet is a triangulation (``physics.sheets``); strain is Green's, rate [1/s] its rate. They and what the law returns are symmetric
-    tensors in a triangle's plane, written (11, 22, 12), where work is S_11 E_11 + S_22 E_22 + 2 S_12 E_12; the law is the same in all
-    directions.
+    A sheet is a triangulation (``physics.sheets``); strain is Green's. It and what the law returns are symmetric tensors in a triangle's
+    plane, written (11, 22, 12), where work is S_11 E_11 + S_22 E_22 + 2 S_12 E_12; the law is the same in all directions.
     """
 
     stage = "membrane"
-    given = ("strain", "rate")
+    given = ("strain",)
 
 
 class PlateTerm(KernelTerm):
     """The moments per length of a sheet [N]: as ``MembraneTerm``, of the curvature [1/m] that triangles make beyond that at rest."""
 
     stage = "plate"
-    given = ("curvature", "rate")
+    given = ("curvature",)
+
+
+class ViscousMembraneTerm(KernelTerm):
+    """More stress resultants of a sheet [N/m], linear in the strain's rate [1/s]; on velocities, in rounds (``physics.rounds``)."""
+
+    stage = "viscous_membrane"
+    given = ("rate",)
+
+
+class ViscousPlateTerm(KernelTerm):
+    """More moments per length of a sheet [N], linear in the curvature's rate [1/(m s)]; on velocities, in rounds."""
+
+    stage = "viscous_plate"
+    given = ("rate",)
 
 
 class LayerTerm(HardTerm):
@@ -292,7 +308,7 @@ class SetupTerm(Term):
 
 _SPRINGS = (AxialTerm, StrandTerm, HingeTerm, FacetTerm)
 _CELLS = (GrowthTerm, FlowTerm, SolidTerm, MaterialTerm, BranchTerm, ViscousTerm)
-_SHEETS = (MembraneTerm, PlateTerm)
+_SHEETS = (MembraneTerm, PlateTerm, ViscousMembraneTerm, ViscousPlateTerm)
 _POINTS = (BodyTerm, SurfaceTerm, TouchTerm, GripTerm)
 _STAGED = (*_SPRINGS, *_CELLS, *_SHEETS, LayerTerm, *_POINTS, ObserverTerm, VelocityTerm, ContactTerm, MoveTerm)
 
@@ -302,4 +318,5 @@ STAGES = tuple(STAGE_CLASSES)
 STAGED = tuple(c.stage for c in _STAGED)  # whose laws are in the kernels
 CELLS = tuple(c.stage for c in _CELLS)  # of solids: what they do they do in a grid's cells
 SHEETS = tuple(c.stage for c in _SHEETS)
+EASED = ("viscous", "viscous_membrane", "viscous_plate")  # in rounds
 ARGUMENTS = {c.stage: c.given for c in _STAGED}

@@ -383,7 +383,7 @@ def foam(*, seed=0, share=1.0, kinds=ALL, frames=3, held=True, **values):
 
 
 def test_the_engine_computes_what_the_twin_says():
-    # a substep from a memory of its own: v' = v + dt f / m, v'' = v' + dt f_v(v') / m in one round, and memories; rounding of float64 only
+    # a substep from a memory of its own: v' = v + dt (f + f_v(v)) / m in one round, and memories; rounding of float64 only
     one, dt = foam(held=False), 1e-4
     batch = Batch([one], fps=1 / dt, substeps=1, rounds=1, double=True)
     count = sum(t.stage in ("flow", "branch") for t in one.terms)
@@ -398,9 +398,9 @@ def test_the_engine_computes_what_the_twin_says():
         after.append(then)
         return stress
 
-    v = one.velocities + dt * internal_forces(one.grid, one.positions, one.velocities, law, lateral=lateral) / one.masses[:, None]
-    damped = damping_forces(one.grid, one.positions, v, lambda rate: damping.twin(rate, **damping.values), lateral=lateral)
-    v = v + dt * damped / one.masses[:, None]
+    force = internal_forces(one.grid, one.positions, one.velocities, law, lateral=lateral)
+    force += damping_forces(one.grid, one.positions, one.velocities, lambda rate: damping.twin(rate, **damping.values), lateral=lateral)
+    v = one.velocities + dt * force / one.masses[:, None]
     np.testing.assert_allclose(v_found.numpy(), v, rtol=0, atol=1e-10 * np.abs(v).max())
     np.testing.assert_allclose(carried.cell_memory.numpy().reshape(q.shape), after[0], rtol=0, atol=1e-12)
 

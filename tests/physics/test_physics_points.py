@@ -125,6 +125,17 @@ def test_a_hand_carries_a_body_and_lags_behind_by_its_weight():
     np.testing.assert_allclose(drop, [0, 0, -9.8 / rate**2], atol=2e-6)
 
 
+@pytest.mark.parametrize("substeps", [100, 400])
+def test_a_hand_that_moves_evenly_is_neither_led_nor_followed(substeps):
+    # w d + 2 z d' = 0 in an even motion: what is held is where its hand is, at the same time, however long a step is. A hand a step ahead
+    # would carry it v dt ahead, 0.17 mm in steps of a hundredth of a frame. Springs have decayed by exp(-0.2 x 300 x 1 s)
+    one = block(SoftGrip({"grip_rate": 300.0}), hold=lambda home: home[:, 0] < np.inf)
+    way = 0.5 * np.arange(31)[:, None, None] / 30 * [1.0, 0.0, 0.0]
+    one = replace(one, controllers=one.controllers[:1] + way)
+    path = middle(one, Batch([one], fps=30, substeps=substeps, double=True).rollout(31).positions[0])
+    np.testing.assert_allclose(path[-5:] - path[0], way[-5:, 0], atol=1e-6)
+
+
 def test_quadratic_drag_slows_a_flying_body():
     # M v' = -b v^2, b = C rho / 2 A / 4: 1 / v grows by b t / M
     v0, drag = 3.0, 20.0

@@ -169,7 +169,8 @@ def test_columns_are_ordered_by_stage_and_padded():
     ground = ["collide_elas", "collide_fric", "ground_normal_x", "ground_normal_y", "ground_normal_z", "ground_offset"]
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
-    cells = ["_growth", "_flow", "_solid", "_material", "_branch", "_viscous", "_membrane", "_plate", "_layer"]
+    cells = ["_growth", "_flow", "_solid", "_material", "_branch", "_viscous"]
+    cells += ["_membrane", "_plate", "_viscous_membrane", "_viscous_plate", "_layer"]
     first = ["_axial", "_strand", "_hinge", "_facet", *cells, "_body", "_surface", "_touch", "_grip", "_observer", "_velocity"]
     assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
     air = [
@@ -192,8 +193,8 @@ def test_columns_are_ordered_by_stage_and_padded():
     assert Laws(AIR).columns == air
     assert Laws(AIR[::-1]).columns == Laws(AIR).columns  # one term a stage has parameters: the order of stages decides
     assert Laws((SelfCollision, Springs)).columns == [*first, *contact, "_move", "_links", "_setup"]
-    assert Laws((Wind, Hardening, Gravity)).columns[:19] == ["cubic", "square", *first[1:13], "wind_x", "wind_y", *gravity]
-    assert Laws((Count, Wind, Stir)).columns[:17] == ["_axial", "count", "stir", "stir_link", *first[2:13], "wind_x", "wind_y"]
+    assert Laws((Wind, Hardening, Gravity)).columns[:21] == ["cubic", "square", *first[1:15], "wind_x", "wind_y", *gravity]
+    assert Laws((Count, Wind, Stir)).columns[:19] == ["_axial", "count", "stir", "stir_link", *first[2:15], "wind_x", "wind_y"]
 
 
 NEW = [(Wind, Hardening, Gravity, Brake), (Count, Springs, Stir), (Dashpot, Springs, Hardening)]
