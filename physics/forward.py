@@ -88,13 +88,13 @@ def make_forward(kit):
     hinged, skinned, filled, easing = kit.hinged, kit.skinned, kit.filled, kit.easing
     pointed, draping, creasing = kit.pointed, kit.draping, kit.creasing
     cells_easing, sheets_easing = kit.cells_easing, kit.sheets_easing
-    crease, panel, ease_fold, ease_panel, draped = make_shells(kit) if draping else (ABSENT,) * 5
+    crease, panel, ease_fold, ease_panel, straighten, draped = make_shells(kit) if draping else (ABSENT,) * 6
     layered, load_layer = kit.layered, load["layer"]
     meet_layers, met_layers = make_layers(kit) if layered else (ABSENT, ABSENT)
     load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
     meet, met_points = make_outside(kit) if pointed else (ABSENT, ABSENT)
     strain, drag, squeezed = make_cells(kit) if filled or cells_easing else (ABSENT, ABSENT, ABSENT)
-    alone, vector = cells_easing and half and not sheets_easing, abreast(8 if kit.R is wp.float64 else 4)
+    alone, vector = cells_easing and half, abreast(8 if kit.R is wp.float64 else 4)
     law_of, integrated, placed, damped = make_lanes(kit) if alone else (ABSENT, ABSENT, ABSENT, ABSENT)
     contraction = starts(kit)[0] if alone else ABSENT
     bulk, swollen, press, pressed = make_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT, ABSENT)
@@ -240,6 +240,9 @@ def make_forward(kit):
                         barrier(w.counters, team, blocks, round)
                     for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
                         panel(w, here, b, q)
+                    if wp.static(half and creasing):
+                        for h in range(w.fold_start[b], w.fold_start[b + 1]):
+                            straighten(w, h)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(layered):
@@ -308,7 +311,7 @@ def make_forward(kit):
                         f += pressed(w, i)
                     if wp.static(filled):
                         f += squeezed(w, i)
-                    if wp.static(draping):
+                    if wp.static(draping and not half):
                         f += draped(w, i)
                     if wp.static(layered and not half):
                         f += met_layers(w, wp.min(here, w.meeting.shape[0] - 1), i)
@@ -359,30 +362,25 @@ def make_forward(kit):
                 barrier(w.counters, team, blocks, round)
             if wp.static(alone):
                 placed(w.state, here * w.nodes, w.cell, w.per[b], w.cell_rows, columns, column, first_cell, last_cell)
+            if wp.static(easing):
                 for r in range(w.rounds[b]):
-                    before = (kept * w.eased.shape[1] + r) * w.nodes
-                    damped(
-                        w.eased,
-                        before,
-                        w.cell,
-                        w.cell_volume,
-                        w.per[b],
-                        lateral,
-                        law,
-                        w.cell_rows,
-                        columns,
-                        column,
-                        first_cell,
-                        last_cell,
-                        w.force,
-                    )
-                    for i in range(lo, hi):
-                        if w.driver[i] < 0:
-                            w.eased[kept, r + 1, i] = w.eased[kept, r, i] + (w.gain[kept, i] + w.force[i] * (dt / w.mass[i])) * w.ease[b, r]
-                        w.force[i] = vec()
-            elif wp.static(easing):
-                for r in range(w.rounds[b]):
-                    if wp.static(cells_easing):
+                    if wp.static(alone):
+                        damped(
+                            w.eased,
+                            (kept * w.eased.shape[1] + r) * w.nodes,
+                            w.cell,
+                            w.cell_volume,
+                            w.per[b],
+                            lateral,
+                            law,
+                            w.cell_rows,
+                            columns,
+                            column,
+                            first_cell,
+                            last_cell,
+                            w.force,
+                        )
+                    if wp.static(cells_easing and not half):
                         for c in range(w.cell_start[b] + lane, w.cell_start[b + 1], width):
                             drag(w, here, kept, r, b, c, p_solid, p_viscous)
                     if wp.static(sheets_easing):
@@ -393,14 +391,20 @@ def make_forward(kit):
                             barrier(w.counters, team, blocks, round)
                         for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
                             ease_panel(w, here, kept, r, b, q)
+                        if wp.static(half and creasing):
+                            for h in range(w.fold_start[b], w.fold_start[b + 1]):
+                                straighten(w, h)
                     round += 1
                     barrier(w.counters, team, blocks, round)
                     for i in range(lo + lane, hi, width):
+                        f = vec()
+                        if wp.static(half):
+                            f = w.force[i]
+                            w.force[i] = vec()
                         if w.driver[i] < 0:
-                            f = vec()
-                            if wp.static(cells_easing):
+                            if wp.static(cells_easing and not half):
                                 f += squeezed(w, i)
-                            if wp.static(sheets_easing):
+                            if wp.static(sheets_easing and not half):
                                 f += draped(w, i)
                             w.eased[kept, r + 1, i] = w.eased[kept, r, i] + (w.gain[kept, i] + f * (dt / w.mass[i])) * w.ease[b, r]
                     round += 1

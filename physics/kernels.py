@@ -253,9 +253,9 @@ def _structs(R, vec, four, vectors):
         beside: wp.array2d(dtype=wp.int32)  # (H, 2) 3 triangle + side, of its two triangles
         rest_angle: wp.array(dtype=R)  # (H,) rad
         angle: wp.array(dtype=R)  # (H,) rad beyond that at rest, and in rounds of damping rad/s
-        slope: wp.array2d(dtype=vec)  # (H, 4) 1/m, the angle's gradients
-        panel_force: wp.array2d(dtype=vec)  # (F, 3) N, on its corners
-        panel_moment: wp.array2d(dtype=R)  # (F, 3) N m, about its sides
+        slope: wp.array(dtype=vec)  # (4 H,) 1/m, the angle's gradients
+        panel_force: wp.array(dtype=vec)  # (3 F,) N, on its corners
+        panel_moment: wp.array(dtype=R)  # (3 F,) N m, about its sides
         pair_start: wp.array(dtype=wp.int32)  # (B+1,) first candidate of each system's layers
         pair: wp.array2d(dtype=wp.int32)  # (C, 4) nodes: a vertex and a triangle's corners, or the ends of two edges
         pair_edges: wp.array(dtype=wp.int32)  # (C,) 1: two edges

@@ -175,8 +175,8 @@ class World(Carrier):
                 **dict(squeeze=empty(batch.cell_starts[-1], 8, 3), eased=empty(kept, rounds + 1, n if batch.easing else 0, 3)),
                 gain=empty(kept, n if batch.easing else 0, 3),
                 **dict(cell_rows=empty(*columns_of(batch))),
-                **dict(panel_force=empty(batch.panel_starts[-1], 3, 3), panel_moment=empty(batch.panel_starts[-1], 3)),
-                **dict(angle=empty(batch.fold_count), slope=empty(batch.fold_count, 4, 3)),
+                **dict(panel_force=empty(3 * batch.panel_starts[-1], 3), panel_moment=empty(3 * batch.panel_starts[-1])),
+                **dict(angle=empty(batch.fold_count), slope=empty(4 * batch.fold_count, 3)),
                 **dict(near_row=near_row, near=near, counters=counters),
             ),
         )

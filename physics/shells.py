@@ -93,10 +93,12 @@ def shell_functions(kit):
 
 
 def make_shells(kit):
-    """(crease, panel, ease_fold, ease_panel, draped): leave a fold's angle, a triangle's forces and moments, and the same of damping by
-    velocities before a round; what a node gets of them.
+    """(crease, panel, ease_fold, ease_panel, straighten, draped): leave a fold's angle, a triangle's forces and moments, and the same of
+    damping by velocities before a round; what a node gets of them.
+
+    A lone thread does not gather: what a triangle does to its corners it adds to ``force`` at once, and ``straighten`` what a fold does.
     """
-    vec, World = kit.vec, kit.World
+    vec, World, half = kit.vec, kit.World, kit.half
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
     load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
@@ -106,9 +108,17 @@ def make_shells(kit):
     def leave(w: World, f: int, s: vec, t: vec, stress: vec):
         """Leave what stress resultants, times the area, do to the corners of triangle ``f``."""
         second, third = spread(w, f, s * -stress[0] - t * stress[2], s * -stress[2] - t * stress[1])
-        w.panel_force[f, 0] = -second - third
-        w.panel_force[f, 1] = second
-        w.panel_force[f, 2] = third
+        if wp.static(half):
+            i = w.panel[f, 0]
+            j = w.panel[f, 1]
+            k = w.panel[f, 2]
+            w.force[i] = w.force[i] - second - third
+            w.force[j] = w.force[j] + second
+            w.force[k] = w.force[k] + third
+        else:
+            w.panel_force[3 * f] = -second - third
+            w.panel_force[3 * f + 1] = second
+            w.panel_force[3 * f + 2] = third
 
     @wp.func
     def curvature(w: World, f: int):
@@ -125,15 +135,15 @@ def make_shells(kit):
         """Leave what moments, times the area, do at its sides."""
         twice = vec(m[0], m[1], m[2] + m[2])
         for c in range(w.panel_side.shape[1]):
-            w.panel_moment[f, c] = wp.dot(twice, w.curving[f, c])
+            w.panel_moment[3 * f + c] = wp.dot(twice, w.curving[f, c])
 
     @wp.func
     def crease(w: World, slot: int, h: int):
         ga, gb, gc, gd = measure(w, slot, h)
-        w.slope[h, 0] = ga
-        w.slope[h, 1] = gb
-        w.slope[h, 2] = gc
-        w.slope[h, 3] = gd
+        w.slope[4 * h] = ga
+        w.slope[4 * h + 1] = gb
+        w.slope[4 * h + 2] = gc
+        w.slope[4 * h + 3] = gd
 
     @wp.func
     def panel(w: World, slot: int, b: int, f: int):
@@ -144,7 +154,7 @@ def make_shells(kit):
 
     @wp.func
     def ease_fold(w: World, row: int, r: int, h: int):
-        w.angle[h] = turning(w, row, r, h, w.slope[h, 0], w.slope[h, 1], w.slope[h, 2], w.slope[h, 3])
+        w.angle[h] = turning(w, row, r, h, w.slope[4 * h], w.slope[4 * h + 1], w.slope[4 * h + 2], w.slope[4 * h + 3])
 
     @wp.func
     def ease_panel(w: World, slot: int, row: int, r: int, b: int, f: int):
@@ -155,21 +165,28 @@ def make_shells(kit):
             leave_moments(w, f, viscous_plate(curvature(w, f), load_viscous_plate(w.table, b)) * w.bent_area[f])
 
     @wp.func
+    def moment_of(w: World, h: int):
+        return w.panel_moment[w.beside[h, 0]] + w.panel_moment[w.beside[h, 1]]
+
+    @wp.func
+    def straighten(w: World, h: int):
+        moment = moment_of(w, h)
+        for c in range(w.fold.shape[1]):
+            i = w.fold[h, c]
+            w.force[i] = w.force[i] - w.slope[4 * h + c] * moment
+
+    @wp.func
     def draped(w: World, i: int):
         """Force on node ``i`` by the triangles and folds around it."""
         force = vec()
         for e in range(w.panel_row[i], w.panel_row[i + 1]):
-            force += w.panel_force[w.panel_of[e] // 3, w.panel_of[e] % 3]
+            force += w.panel_force[w.panel_of[e]]
         if wp.static(creasing):
             for e in range(w.fold_row[i], w.fold_row[i + 1]):
-                h = w.fold_of[e] // 4
-                one = w.beside[h, 0]
-                two = w.beside[h, 1]
-                moment = w.panel_moment[one // 3, one % 3] + w.panel_moment[two // 3, two % 3]
-                force -= w.slope[h, w.fold_of[e] % 4] * moment
+                force -= w.slope[w.fold_of[e]] * moment_of(w, w.fold_of[e] // 4)
         return force
 
-    return crease, panel, ease_fold, ease_panel, draped
+    return crease, panel, ease_fold, ease_panel, straighten, draped
 
 
 def make_back_shells(kit):
