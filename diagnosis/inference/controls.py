@@ -7,7 +7,8 @@ same usual errors of recordings. They are taken as draws of a Student t whose pl
 (``tails``): a sound recording that lies far out then makes the tail heavier and leaves the rest alone, and p goes on where ranks among n
 end at 1 / (1 + n). What the most surprising of them costs hangs on how much they go together, which these recordings tell as well.
 
-``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``.
+``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``; kinds of body of
+which there are none stay as they were frozen.
 """
 
 from __future__ import annotations
@@ -156,6 +157,15 @@ def main(arguments=None) -> None:
     parser.add_argument("--out", type=Path, default=FILE)
     given = parser.parse_args(arguments)
     found = frozen(given.tables, DiagnosisConfig(members=given.members))
+    if given.out.exists():
+        before = json.loads(given.out.read_text(encoding="utf-8"))
+        kept = set(before["kinds"]) - set(found["kinds"])
+        if kept and before["config"] != found["config"]:
+            differ = sorted(k for k in {*before["config"], *found["config"]} if before["config"].get(k) != found["config"].get(k))
+            raise ValueError(
+                f"{given.out}: {', '.join(sorted(kept))} were weighed with other {', '.join(differ)}; weigh them anew, or give --out"
+            )
+        found["kinds"] = {**before["kinds"], **found["kinds"]}
     with replacing(given.out) as temporary:
         temporary.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     print(", ".join(f"{len(rows)} of kind {kind}" for kind, rows in found["kinds"].items()))

@@ -65,6 +65,18 @@ def test_sound_rows_are_frozen_and_used_for_their_kind_and_config_alone(tmp_path
     assert Controls.of("rope", replace(config, level=0.02)) is None  # of 40, one is more than 2 %
 
 
+def test_kinds_that_are_not_weighed_again_stay_frozen(tmp_path):
+    out = ["--members", "12", "--out", str(tmp_path / "controls.json")]
+    for kind in ("solid", "rope"):
+        (folder := tmp_path / kind).mkdir()
+        main([str(table(folder, 40, kind=kind)), *out])
+    kinds = json.loads((tmp_path / "controls.json").read_text())["kinds"]
+    assert {kind: len(rows) for kind, rows in kinds.items()} == {"solid": 40, "rope": 40}
+    with pytest.raises(ValueError, match="solid were weighed with other members; weigh them anew, or give --out"):
+        main([str(tmp_path / "rope" / "table.csv"), "--members", "16", *out[2:]])
+    assert json.loads((tmp_path / "controls.json").read_text())["kinds"] == kinds
+
+
 def test_several_recordings_are_judged_by_as_many_or_fewer(tmp_path, monkeypatch):
     # of a rope there are controls of one recording, of two and too few of four: three are judged by those of two, as are eight
     tables = []
