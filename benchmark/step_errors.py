@@ -1,7 +1,7 @@
 """How far a twin in its usual steps is from itself in eight times as many: ``python -m twinbench.benchmark.step_errors RECORDING ...``.
 
 No twin is fitted: its body moves by the usual numbers of its kind, under the recorded hands. Distances are between nodes at the same time,
-over all nodes and frames; the *lag* is the shift in time [frames] that explains most of them, *left* what it does not explain.
+over all nodes of the body and all frames; the *lag* is the shift in time [frames] that explains most of them, *left* what it does not.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def errors(recording: str) -> list[dict]:
         began = time.process_time()
         with torch.no_grad():
             found = torch.cat([inputs.x[None], batch.march(0, frames - 1, inputs)[0]])
-        return found.double().numpy(), time.process_time() - began
+        return batch.split(found)[0].double().numpy(), time.process_time() - began
 
     fine, rows = path(FINEST)[0], []
     speed = np.gradient(fine, axis=0)

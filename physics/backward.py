@@ -64,11 +64,10 @@ def make_backward(kit):
     def back_driven(w: World, a: Adjoint, i: int, frame: int, step: int, substeps: int, dt: R, share: R, gx: vec, gv: vec):
         """Hand the adjoint of driven node ``i``, placed for the substep that starts at ``step``, to its path."""
         c = w.driver[i]
-        lead = w.lead[i]
-        if lead == 1:
+        if w.lead[i] == 1:
             give(a.links, i, wp.dot(gv, speed(w.path, c, frame, step, substeps, dt)))
             gv = gv * share
-        give_path(a.path, c, frame, step + lead, substeps, gx)
+        give_path(a.path, c, frame, step + w.ahead[i], substeps, gx)
         give_speed(a.path, c, frame, step, substeps, dt, gv)
         a.x[i] = vec()
         a.v[i] = vec()

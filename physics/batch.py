@@ -27,7 +27,7 @@ from .outside import assemble_points
 from .resident import engine_for
 from .sheets import assemble_sheets
 from .side_by_side import COMPILER, launch, side_by_side
-from .stability import stable_rounds, stable_substeps
+from .stability import stable_rounds, stable_stepping
 from .system import System
 from .terms.stages import EASED, SHEETS
 
@@ -90,7 +90,7 @@ class Batch:
         self.device = torch.device(device)
         self.dtype = torch.float64 if double else torch.float32
         if isinstance(substeps, str) and substeps == "auto":
-            substeps = [stable_substeps([s], 1 / fps) for s in systems]
+            substeps = [steps for steps, _ in _of_each(stable_stepping, systems, [1 / fps] * len(systems))]
         self.substeps = _each(systems, "substeps", substeps)
         if not ((self.substeps >= 1) & (self.substeps < np.inf) & (self.substeps == np.floor(self.substeps))).all():
             raise ValueError(f"substeps must be whole numbers >= 1 or 'auto', got {substeps}")
@@ -109,7 +109,7 @@ class Batch:
         if self.easing and self.colliding:
             raise ValueError("a system can have terms that are viscous in a solid or a sheet, or one of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
-            rounds = [stable_rounds(s, dt) for s, dt in zip(systems, self.dt, strict=True)]
+            rounds = _of_each(stable_rounds, systems, self.dt)
         self.rounds = _each(systems, "rounds", rounds)
         if not ((self.rounds == 1) | ((self.rounds >= 2) & (self.rounds < np.inf) & (self.rounds % 2 == 0))).all():
             raise ValueError(f"rounds must be 1, even numbers or 'auto', got {rounds}")
@@ -164,18 +164,20 @@ class Batch:
         here, other = np.concatenate([ends[:, 0], ends[:, 1]]), np.concatenate([ends[:, 1], ends[:, 0]])
         spring = np.tile(np.arange(len(ends)), 2)
         absent = (lead > 0) & (not self.laws.stage("links"))  # without their term, controllers pull on nothing
-        for s, index in zip(systems, indices, strict=True):
-            if s.points is not None:  # a step ahead, a hand would lead all that it carries by a step: most of what a step is off by
-                lead[index[s.particle_count + s.points.holds[s.points.holds >= 0]]] = 0
         if absent.any():
             kept = ~absent[np.stack([here, other])].any(0)
             here, other, spring = here[kept], other[kept], spring[kept]
+        ahead = lead.copy()
+        for s, index in zip(systems, indices, strict=True):
+            if s.points is not None:  # a step ahead, a hand would lead all that it carries by a step: most of what a step is off by
+                held = index[s.particle_count + s.points.holds[s.points.holds >= 0]]
+                ahead[np.setdiff1d(held, here)] = 0
         order = _sorted_ends(here, other, count)  # own ends last; near ones together
         row = np.concatenate([[0], np.cumsum(np.bincount(here, minlength=count))])
         own = row[1:] - np.bincount(here[other > here], minlength=count)
         self.node_count, self.frame_count = count, frames
         self.starts, self.sizes = start, sizes
-        integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead)
+        integers = dict(start=start, row=row, own=own, other=other[order], spring=spring[order], driver=driver, lead=lead, ahead=ahead)
         self.constants = {k: self._ints(v) for k, v in {**integers, "substeps": self.substeps}.items()}
         bent, hinged = assemble(systems, indices, x, driver, absent)
         facets, volume = assemble_facets(systems, start, count)
@@ -476,6 +478,15 @@ def _whole(name, value, least):
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise ValueError(f"{name} must be a whole number >= {least}, got {value!r}")
     return int(value)
+
+
+def _of_each(work, systems, seconds):
+    """What ``work`` says of each system and its ``seconds``; of one that is there several times it is asked once."""
+    known: dict[tuple, Any] = {}
+    for system, own in zip(systems, seconds, strict=True):
+        if (id(system), own) not in known:
+            known[id(system), own] = work(system, own)
+    return [known[id(system), own] for system, own in zip(systems, seconds, strict=True)]
 
 
 def _each(systems, name, value):

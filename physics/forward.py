@@ -112,11 +112,10 @@ def make_forward(kit):
     def follow(w: World, i: int, slot: int, frame: int, step: int, substeps: int, dt: R, share: R):
         """Place driven node ``i`` for the substep that starts at ``step``."""
         c = w.driver[i]
-        lead = w.lead[i]
         v = speed(w.path, c, frame, step, substeps, dt)
-        if lead == 1:
+        if w.lead[i] == 1:
             v = v * share
-        put(w.state, slot * w.nodes + i, along(w.path, c, frame, step + lead, substeps), v)
+        put(w.state, slot * w.nodes + i, along(w.path, c, frame, step + w.ahead[i], substeps), v)
 
     @wp.func
     def pull(
@@ -409,7 +408,6 @@ def make_forward(kit):
                             w.eased[kept, r + 1, i] = w.eased[kept, r, i] + (w.gain[kept, i] + f * (dt / w.mass[i])) * w.ease[b, r]
                     round += 1
                     barrier(w.counters, team, blocks, round)
-            if wp.static(easing):
                 for i in range(lo + lane, hi, width):
                     if w.driver[i] < 0:
                         v = w.eased[kept, w.rounds[b], i]

@@ -180,7 +180,8 @@ def _structs(R, vec, four, vectors):
         seen: wp.array2d(dtype=vec)  # (T, columns) m, where observers saw particles
         sight: wp.array2d(dtype=R)  # (T, columns) weight of what was seen between this frame and the next, 0 where it was not
         driver: wp.array(dtype=wp.int32)  # (nodes,) the controller that moves it, or -1
-        lead: wp.array(dtype=wp.int32)  # (nodes,) 1: it is where its controller is at the end of the substep (published), 0: at its start
+        lead: wp.array(dtype=wp.int32)  # (nodes,) 1: a controller that is a node of its own
+        ahead: wp.array(dtype=wp.int32)  # (nodes,) 1: it is where its controller is at the end of the substep (published), 0: at its start
         path: wp.array2d(dtype=vec)  # (T, controllers) m
         table: wp.array2d(dtype=R)  # (B, columns) parameters
         state: wp.array(dtype=R)  # (slots * nodes * 8,) at the start of the substep: x [m], 0, v [m/s], 0
@@ -191,7 +192,7 @@ def _structs(R, vec, four, vectors):
         flight: wp.array(dtype=R)  # (slots * nodes * 8,) as states are: x, mass, v before contacts (only with contacts)
         met: wp.array2d(dtype=vec)  # (slots, nodes) m/s, after contacts (only with contacts)
         hits: wp.array2d(dtype=wp.int32)  # (slots, nodes) contacts in the substep
-        force: wp.array(dtype=vec)  # (nodes,) reactions left by lower ends
+        force: wp.array(dtype=vec)  # (nodes,) what a lone thread has added: at lower ends, of triangles, folds, layers, points, damping
         hinge_start: wp.array(dtype=wp.int32)  # (B+1,) first hinge of each system
         joint: wp.array2d(dtype=wp.int32)  # (H, 3) nodes before, at and after; -1 where it is left out
         sides: wp.array2d(dtype=wp.int32)  # (H, 2) segments with directors that it joins, or -1

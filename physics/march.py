@@ -369,7 +369,7 @@ class March(torch.autograd.Function):
 
 def columns_of(batch) -> tuple[int, int]:
     """What a lone thread keeps of the cells of all systems, side by side: see ``cell_lanes``."""
-    cells = batch.cell_starts[-1] if batch.alone and batch.easing else 0
+    cells = batch.cell_starts[-1] if batch.alone and batch.laws.stage("viscous") else 0
     return (ROWS, int(cells) + len(batch.systems) * abreast(batch.dtype.itemsize)) if cells else (0, 0)
 
 

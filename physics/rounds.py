@@ -2,10 +2,10 @@
 
 What all but damping adds to a velocity in a substep, g, is shared out over the rounds: v <- v + share_r (g + dt f_v / m), f_v = -C v at the
 same positions, with dt |C| / m far above 2. Shares at the roots of Chebyshev's polynomial are stable far beyond single steps (super time
-stepping; Alexiades, Amiez and Gremaud 1996): a mode with z = dt |C| / m ends at P v + (1 - P) g / z, and P is near exp(-z) where z is
-small and small where it is not. So what is damped out of hand moves as its force and its damping say, however long the substep is. (To add
-g first and damp it after leaves P g instead, too slow by as much as z is large: ``results/continuum.md``.) Two equal passes make of their
-polynomial its square: a velocity that came out of damping with its sign turned would make the elastic force push outwards.
+stepping; Alexiades, Amiez and Gremaud 1996): a mode with z = dt |C| / m ends at P v + (1 - P) g / z, P(z) between 0 and 1. So what is
+damped out of hand comes to g / z, as its force and its damping say, however long the substep is. (To add g first and damp it after leaves
+P g instead, too slow by as much as z is large: ``results/continuum.md``.) Two equal passes make of their polynomial its square: a velocity
+that came out of damping with its sign turned would make the elastic force push outwards.
 """
 
 import numpy as np
@@ -31,5 +31,6 @@ def ease(rounds: int) -> np.ndarray:
 
 
 def reach(rounds: int) -> float:
-    """How many times the longest single step, 2 / rate, a substep of so many rounds may be."""
-    return 0.5 if rounds == 1 else float(2 * _steps(rounds // 2).sum())
+    """How many times the longest single step, 2 / rate, a substep of so many rounds may be. One round takes a quarter: what it does not
+    damp at once adds to what the elastic forces do in a substep (``stability``)."""
+    return 0.25 if rounds == 1 else float(2 * _steps(rounds // 2).sum())

@@ -19,7 +19,7 @@ FLAT = 1.0e-12  # m^2: less than a face
 
 
 def shell_functions(kit):
-    """(creased, measure, turning, tangents, placed, moving, spread, strained, changed): what both ways share."""
+    """(creased, measure, along, curvature, tangents, placed, moving, spread, strained, changed): what both ways share."""
     R, vec, World, get_x = kit.R, kit.vec, kit.World, kit.get_x
 
     @wp.func
@@ -49,10 +49,20 @@ def shell_functions(kit):
         return ga, gb, gc, gd
 
     @wp.func
-    def turning(w: World, row: int, r: int, h: int, ga: vec, gb: vec, gc: vec, gd: vec):
-        """The rate of the angle of fold ``h`` with these gradients, by velocities before round ``r``."""
-        near = wp.dot(ga, w.eased[row, r, w.fold[h, 0]]) + wp.dot(gb, w.eased[row, r, w.fold[h, 1]])
-        return near + wp.dot(gc, w.eased[row, r, w.fold[h, 2]]) + wp.dot(gd, w.eased[row, r, w.fold[h, 3]])
+    def along(of: wp.array(dtype=vec), w: World, h: int, ga: vec, gb: vec, gc: vec, gd: vec):
+        """How much the angle of fold ``h`` with these gradients changes as nodes move by ``of``."""
+        near = wp.dot(ga, of[w.fold[h, 0]]) + wp.dot(gb, of[w.fold[h, 1]])
+        return near + wp.dot(gc, of[w.fold[h, 2]]) + wp.dot(gd, of[w.fold[h, 3]])
+
+    @wp.func
+    def curvature(of: wp.array(dtype=R), w: World, f: int):
+        """What the numbers ``of`` the folds at its sides make of triangle ``f``."""
+        found = vec()
+        for c in range(w.panel_side.shape[1]):
+            h = w.panel_side[f, c]
+            if h >= 0:
+                found += w.curving[f, c] * of[h]
+        return found
 
     @wp.func
     def tangents(w: World, f: int, a: vec, b: vec, c: vec):
@@ -89,7 +99,7 @@ def shell_functions(kit):
         """Its change as the tangents change by ``u`` and ``v``."""
         return vec(wp.dot(s, u), wp.dot(t, v), (wp.dot(s, v) + wp.dot(t, u)) * R(0.5))
 
-    return creased, measure, turning, tangents, placed, moving, spread, strained, changed
+    return creased, measure, along, curvature, tangents, placed, moving, spread, strained, changed
 
 
 def make_shells(kit):
@@ -102,7 +112,7 @@ def make_shells(kit):
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
     load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
-    _creased, measure, turning, _tangents, placed, moving, spread, strained, changed = shell_functions(kit)
+    _creased, measure, along, curvature, _tangents, placed, moving, spread, strained, changed = shell_functions(kit)
 
     @wp.func
     def leave(w: World, f: int, s: vec, t: vec, stress: vec):
@@ -119,16 +129,6 @@ def make_shells(kit):
             w.panel_force[3 * f] = -second - third
             w.panel_force[3 * f + 1] = second
             w.panel_force[3 * f + 2] = third
-
-    @wp.func
-    def curvature(w: World, f: int):
-        """What the numbers of the folds at its sides make of triangle ``f``."""
-        found = vec()
-        for c in range(w.panel_side.shape[1]):
-            h = w.panel_side[f, c]
-            if h >= 0:
-                found += w.curving[f, c] * w.angle[h]
-        return found
 
     @wp.func
     def leave_moments(w: World, f: int, m: vec):
@@ -150,11 +150,11 @@ def make_shells(kit):
         s, t = placed(w, slot, f)
         leave(w, f, s, t, membrane(strained(s, t), load_membrane(w.table, b)) * w.panel_area[f])
         if wp.static(creasing):
-            leave_moments(w, f, plate(curvature(w, f), load_plate(w.table, b)) * w.bent_area[f])
+            leave_moments(w, f, plate(curvature(w.angle, w, f), load_plate(w.table, b)) * w.bent_area[f])
 
     @wp.func
     def ease_fold(w: World, row: int, r: int, h: int):
-        w.angle[h] = turning(w, row, r, h, w.slope[4 * h], w.slope[4 * h + 1], w.slope[4 * h + 2], w.slope[4 * h + 3])
+        w.angle[h] = along(w.eased[row, r], w, h, w.slope[4 * h], w.slope[4 * h + 1], w.slope[4 * h + 2], w.slope[4 * h + 3])
 
     @wp.func
     def ease_panel(w: World, slot: int, row: int, r: int, b: int, f: int):
@@ -162,7 +162,7 @@ def make_shells(kit):
         u, v = moving(w, row, r, f)
         leave(w, f, s, t, viscous_membrane(changed(s, t, u, v), load_viscous_membrane(w.table, b)) * w.panel_area[f])
         if wp.static(creasing):
-            leave_moments(w, f, viscous_plate(curvature(w, f), load_viscous_plate(w.table, b)) * w.bent_area[f])
+            leave_moments(w, f, viscous_plate(curvature(w.angle, w, f), load_viscous_plate(w.table, b)) * w.bent_area[f])
 
     @wp.func
     def moment_of(w: World, h: int):
@@ -199,7 +199,7 @@ def make_back_shells(kit):
     viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
     load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
     give_membrane, give_plate, give_viscous_membrane, give_viscous_plate = (kit.give_all[s] for s in SHEETS)
-    creased, measure, turning, tangents, placed, moving, spread, strained, changed = shell_functions(kit)
+    creased, measure, along, curvature, tangents, placed, moving, spread, strained, changed = shell_functions(kit)
 
     @wp.func
     def work(stress: vec, strain: vec):
@@ -260,19 +260,24 @@ def make_back_shells(kit):
         a.paneled[f, first + 2] = third
 
     @wp.func
+    def leave_sides(w: World, a: Adjoint, f: int, on: vec, on_change: vec):
+        """Leave what the angles at the sides of triangle ``f``, or their rates, and their changes get of those of its curvature."""
+        for c in range(w.panel_side.shape[1]):
+            a.panel_angle[f, c, 0] = wp.dot(on, w.curving[f, c])
+            a.panel_angle[f, c, 1] = wp.dot(on_change, w.curving[f, c])
+
+    @wp.func
     def back_crease(w: World, a: Adjoint, slot: int, h: int):
         """Leave the angle of fold ``h``, and its change as nodes move by the adjoints of their forces."""
         ga, gb, gc, gd = measure(w, slot, h)
-        change = wp.dot(ga, a.force[slot % 2, w.fold[h, 0]]) + wp.dot(gb, a.force[slot % 2, w.fold[h, 1]])
-        a.angle[h] = change + wp.dot(gc, a.force[slot % 2, w.fold[h, 2]]) + wp.dot(gd, a.force[slot % 2, w.fold[h, 3]])
+        a.angle[h] = along(a.force[slot % 2], w, h, ga, gb, gc, gd)
 
     @wp.func
     def back_ease_crease(w: World, a: Adjoint, slot: int, r: int, h: int):
         """Leave the rate of the angle of fold ``h`` before round ``r``, and its change as nodes move by the adjoints of velocities."""
         ga, gb, gc, gd = measure(w, slot, h)
-        w.angle[h] = turning(w, slot, r, h, ga, gb, gc, gd)
-        change = wp.dot(ga, a.eased[w.fold[h, 0]]) + wp.dot(gb, a.eased[w.fold[h, 1]])
-        a.angle[h] = change + wp.dot(gc, a.eased[w.fold[h, 2]]) + wp.dot(gd, a.eased[w.fold[h, 3]])
+        w.angle[h] = along(w.eased[slot, r], w, h, ga, gb, gc, gd)
+        a.angle[h] = along(a.eased, w, h, ga, gb, gc, gd)
 
     @wp.func
     def back_panel(w: World, a: Adjoint, slot: int, b: int, f: int):
@@ -285,18 +290,9 @@ def make_back_shells(kit):
         if a.wants_table > 0:
             give_membrane(a.membrane, f, gp * area)
         if wp.static(creasing):
-            kappa = vec()
-            change = vec()
-            for c in range(w.panel_side.shape[1]):
-                h = w.panel_side[f, c]
-                if h >= 0:
-                    kappa += w.curving[f, c] * w.angle[h]
-                    change += w.curving[f, c] * a.angle[h]
             area = -w.bent_area[f]
-            gk, gp_plate, gd = wp.grad(plate_dot)(kappa, load_plate(w.table, b), change)
-            for c in range(w.panel_side.shape[1]):
-                a.panel_angle[f, c, 0] = wp.dot(gk, w.curving[f, c]) * area
-                a.panel_angle[f, c, 1] = wp.dot(gd, w.curving[f, c]) * area
+            gk, gp_plate, gd = wp.grad(plate_dot)(curvature(w.angle, w, f), load_plate(w.table, b), curvature(a.angle, w, f))
+            leave_sides(w, a, f, gk * area, gd * area)
             if a.wants_table > 0:
                 give_plate(a.plate, f, gp_plate * area)
 
@@ -313,18 +309,10 @@ def make_back_shells(kit):
         if a.wants_table > 0:
             give_viscous_membrane(a.viscous_membrane, f, gp * area)
         if wp.static(creasing):
-            rate = vec()
-            change = vec()
-            for c in range(w.panel_side.shape[1]):
-                h = w.panel_side[f, c]
-                if h >= 0:
-                    rate += w.curving[f, c] * w.angle[h]
-                    change += w.curving[f, c] * a.angle[h]
             area = -w.bent_area[f] * share
+            rate, change = curvature(w.angle, w, f), curvature(a.angle, w, f)
             gr, gp_plate, gd = wp.grad(eased_plate_dot)(rate, load_viscous_plate(w.table, b), change)
-            for c in range(w.panel_side.shape[1]):
-                a.panel_angle[f, c, 0] = wp.dot(gr, w.curving[f, c]) * area
-                a.panel_angle[f, c, 1] = wp.dot(gd, w.curving[f, c]) * area
+            leave_sides(w, a, f, gr * area, gd * area)
             if a.wants_table > 0:
                 give_viscous_plate(a.viscous_plate, f, gp_plate * area)
 

@@ -16,15 +16,17 @@ from .sheets import damping_forces as sheet_damping
 from .sheets import internal_forces as sheet_forces
 from .solids import damping_forces, internal_forces
 from .system import System
-from .terms.stages import CELLS, HardTerm, SolidTerm
+from .terms.stages import CELLS, EASED, HardTerm, SolidTerm
 
-__all__ = ["stable_rounds", "stable_step", "stable_substeps"]
+__all__ = ["stable_rounds", "stable_step", "stable_stepping", "stable_substeps"]
 
 
 CLOSE = 0.02  # relative, to which a largest eigenvalue is found; what is missing then is in the margin
 MARGIN = 1.1
 INSTANT = 1e-9  # s, in which nothing relaxes
 MOST_ROUNDS = 20  # of damping: more would let rounding errors of float32 grow
+EASED_LIMIT = 3.0  # of lam dt^2, for 4 without rounds: 3.3 in two of them and more, and 4 - 2 z in one that takes z = 1/2
+STRETCHED = 2.0  # a sheet's damping over that at the start: as the square of its stretch, or of a mesh that is crushed
 
 
 def stable_step(system: System) -> float:
@@ -49,7 +51,11 @@ def stable_step(system: System) -> float:
     alters it. What stiffens as it is strained (Fung's law, fibres that start slack) is not in it: it takes the margin of whoever asks.
 
     A sheet adds the largest eigenvalue of its stiffness in the shape in which it starts, found in the same way. What stiffens as it is
-    strained or bent is not in it. What is viscous in solids and sheets is taken in rounds (``stable_rounds``) and limits no substep.
+    strained or bent is not in it.
+
+    What is viscous in solids and sheets is taken in rounds (``stable_rounds``). With z = mu dt of a mode and P(z) of its rounds the matrix
+    of a substep has the determinant P and the trace 1 + P - lam dt^2 (1 - P) / z, so that lam dt^2 must be below 2 z (1 + P) / (1 - P):
+    3.3 and more in two rounds or more, 4 - 2 z in one. It is kept below 3 there, of whatever is damped.
 
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.
@@ -78,6 +84,9 @@ def stable_step(system: System) -> float:
         if isinstance(term, HardTerm):
             hard = term.hardness(**term.values)
             lam, mu = lam + hard[0], mu + hard[1]
+
+    if any(t.stage in EASED and any(t.values.values()) for t in system.terms):
+        lam *= 4 / EASED_LIMIT
 
     def limit(times):
         bound = mu + math.sqrt(mu * mu + 4 * lam * times)
@@ -167,7 +176,7 @@ def stable_rounds(system: System, dt: float) -> int:
     """
     free = np.ones(system.particle_count + system.controllers.shape[1], bool)
     free[system.grips[system.grips >= 0]] = False
-    fastest = _fastest(system, free, "viscous") + _sheet_fastest(system, free, damping=True)
+    fastest = _fastest(system, free, "viscous") + STRETCHED * _sheet_fastest(system, free, damping=True)
     single = dt * fastest / 2  # how many of the longest single steps
     rounds = next((n for n in (1, *range(2, MOST_ROUNDS + 1, 2)) if reach(n) >= single), None)
     if rounds is None:
@@ -224,3 +233,13 @@ def stable_substeps(systems, frame_seconds: float, *, safety: float = 0.5, least
     """Substeps per frame that keep every system's substep below ``safety`` times its stable step."""
     step = min(stable_step(s) for s in systems)
     return max(least, math.ceil(frame_seconds / (safety * step)) if math.isfinite(step) else least)
+
+
+def stable_stepping(system: System, frame_seconds: float, *, safety: float = 0.5, least: int = 10) -> tuple[int, int]:
+    """(substeps a frame, rounds in each) that are stable: as ``stable_substeps``, or more where damping would ask for too many rounds."""
+    substeps = stable_substeps([system], frame_seconds, safety=safety, least=least)
+    while True:
+        try:
+            return substeps, stable_rounds(system, frame_seconds / substeps)
+        except ValueError:
+            substeps = math.ceil(1.5 * substeps)

@@ -41,8 +41,8 @@ class System:
     flexure      (H,) stiffness relative to the terms'; 1 unless given
     chains       arrays of nodes in order, each a rope, or a ring where the last is the first: hinges along them twist as well
     facets       (F, 3) int: particles at the corners of the skin's triangles, anticlockwise from outside; only facet terms read them
-    grid         the cells of a solid whose nodes the particles are (``physics.grids``); only solid and viscous terms read it
-    sheet        triangles between the particles that stretch and bend (``physics.sheets``); only membrane and plate terms read it
+    grid         the cells of a solid whose nodes the particles are (``physics.grids``); only its own terms read it
+    sheet        triangles between the particles that stretch and bend (``physics.sheets``); only its own terms read it
     points       material points that the particles carry, on which body forces act then (``physics.points``)
     seen         (T, M, 3) m, where particles were seen, NaN where they were not; only observer terms read it
     sight        (T, M) weight of what was seen between a frame and the next; 1 unless given, 0 where either was not seen

@@ -13,7 +13,7 @@ from ...datasets.scenario import Observed
 from ...physics.batch import Batch
 from ...physics.latest import Latest
 from ...physics.penetrations import Penetrations, penetrations
-from ...physics.stability import stable_rounds, stable_substeps
+from ...physics.stability import stable_stepping
 from ...physics.system import FILLED, System
 from ...physics.terms import CoulombGround, Gravity, LayerContact, SoftGrip
 from ...physics.terms.base import Term
@@ -33,18 +33,7 @@ FAR = 1e3  # m
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
 SHORTER = (2, 8)  # times as many steps for runs that blow up: a cell that is crushed to half its width is some ten times as stiff
 LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
-LIMITING = (
-    "setup",
-    "axial",
-    "hinge",
-    "facet",
-    "solid",
-    *EASED,
-    "membrane",
-    "plate",
-    "grip",
-    "touch",
-)  # stages that limit substeps, or ask for rounds
+LIMITING = ("setup", "axial", "hinge", "facet", "solid", "membrane", "plate", "grip", "touch")  # stages that limit substeps
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,18 +292,12 @@ class Simulator:
         """(substeps, rounds) that are stable at ``values`` and at a stiffness and a damping a little above."""
         most = {name: values[name] for name in self.system.values}
         most |= self.scene.body.stiffest(values) | {"grip_rate": rounded_up(most["grip_rate"])}
-        shown = [t for t in self.system.terms if t.stage in LIMITING]
+        shown = [t for t in self.system.terms if t.stage in (*LIMITING, *EASED)]
         key = tuple(most[p.name] for t in shown for p in t.parameters if not p.name.endswith("friction"))
         if key not in self._known_steps:
             stiffest = self.scene.body.stiffened(self.system.with_values(**most), most)
             stiffest = replace(stiffest, terms=[t for t in stiffest.terms if t.stage != "layer"])
-            substeps = stable_substeps([stiffest], 1 / self._rate_of_steps, safety=self.scene.body.stride)
-            while True:
-                try:
-                    self._known_steps[key] = substeps, stable_rounds(stiffest, 1 / (self._rate_of_steps * substeps))
-                    break
-                except ValueError:
-                    substeps = -int(-1.5 * substeps // 1)
+            self._known_steps[key] = stable_stepping(stiffest, 1 / self._rate_of_steps, safety=self.scene.body.stride)
         return self._known_steps[key]
 
     @cached_property

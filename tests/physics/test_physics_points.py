@@ -24,6 +24,7 @@ from twinbench.physics.terms import (
     SurfaceDrag,
     Wind,
 )
+from twinbench.physics.terms.mass_field import MassField
 
 DENSITY, SIZE = 100.0, np.array([0.06, 0.05, 0.026])
 MASS = DENSITY * SIZE.prod()
@@ -134,6 +135,15 @@ def test_a_hand_that_moves_evenly_is_neither_led_nor_followed(substeps):
     one = replace(one, controllers=one.controllers[:1] + way)
     path = middle(one, Batch([one], fps=30, substeps=substeps, double=True).rollout(31).positions[0])
     np.testing.assert_allclose(path[-5:] - path[0], way[-5:, 0], atol=1e-6)
+
+
+def test_a_hand_that_holds_points_is_no_mass_of_the_body():
+    # a mass field shares out what the body has, and leaves controllers alone: sum of all masses as before
+    one = block(SoftGrip(), MassField({"mass_slope_a": 0.3}), hold=lambda home: home[:, 0] < 0.01)
+    batch = Batch([one], fps=30, substeps=10, double=True)
+    mass = batch.prepare(batch.inputs).mass
+    assert mass[: one.particle_count].sum().item() == pytest.approx(MASS) and not torch.equal(mass, batch.inputs.mass)
+    assert (mass[one.particle_count :] == batch.inputs.mass[one.particle_count :]).all()
 
 
 def test_quadratic_drag_slows_a_flying_body():
