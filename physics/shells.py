@@ -222,27 +222,19 @@ def make_back_shells(kit):
         return work(viscous_plate(rate, p), d)
 
     @wp.func
-    def crease_dot(
-        a: vec,
-        b: vec,
-        c: vec,
-        d: vec,
-        va: vec,
-        vb: vec,
-        vc: vec,
-        vd: vec,
-        ta: vec,
-        tb: vec,
-        tc: vec,
-        td: vec,
-        on: R,
-        on_rate: R,
-        on_change: R,
-    ):
+    def crease_dot(a: vec, b: vec, c: vec, d: vec, ta: vec, tb: vec, tc: vec, td: vec, on: R, on_change: R):
         angle, ga, gb, gc, gd = creased(a, b, c, d)
+        change = wp.dot(ga, ta) + wp.dot(gb, tb) + wp.dot(gc, tc) + wp.dot(gd, td)
+        return angle * on + change * on_change
+
+    @wp.func
+    def eased_crease_dot(
+        a: vec, b: vec, c: vec, d: vec, va: vec, vb: vec, vc: vec, vd: vec, ta: vec, tb: vec, tc: vec, td: vec, on_rate: R, on_change: R
+    ):
+        _angle, ga, gb, gc, gd = creased(a, b, c, d)
         rate = wp.dot(ga, va) + wp.dot(gb, vb) + wp.dot(gc, vc) + wp.dot(gd, vd)
         change = wp.dot(ga, ta) + wp.dot(gb, tb) + wp.dot(gc, tc) + wp.dot(gd, td)
-        return angle * on + rate * on_rate + change * on_change
+        return rate * on_rate + change * on_change
 
     @wp.func
     def summed(a: Adjoint, w: World, h: int, k: int):
@@ -336,9 +328,7 @@ def make_back_shells(kit):
         td = a.force[slot % 2, w.fold[h, 3]]
         on = summed(a, w, h, 0)
         on_change = summed(a, w, h, 1)
-        ga, gb, gc, gd, _a, _b, _c, _d, _e, _f, _g, _h, _on, _or, _oc = wp.grad(crease_dot)(
-            xa, xb, xc, xd, vec(), vec(), vec(), vec(), ta, tb, tc, td, on, R(0.0), on_change
-        )
+        ga, gb, gc, gd, _a, _b, _c, _d, _on, _oc = wp.grad(crease_dot)(xa, xb, xc, xd, ta, tb, tc, td, on, on_change)
         a.folded[h, 0] = ga
         a.folded[h, 1] = gb
         a.folded[h, 2] = gc
@@ -358,8 +348,8 @@ def make_back_shells(kit):
         td = a.eased[w.fold[h, 3]]
         on_rate = summed(a, w, h, 0)
         on_change = summed(a, w, h, 1)
-        ga, gb, gc, gd, ha, hb, hc, hd, _e, _f, _g, _h, _on, _or, _oc = wp.grad(crease_dot)(
-            xa, xb, xc, xd, va, vb, vc, vd, ta, tb, tc, td, R(0.0), on_rate, on_change
+        ga, gb, gc, gd, ha, hb, hc, hd, _a, _b, _c, _d, _or, _oc = wp.grad(eased_crease_dot)(
+            xa, xb, xc, xd, va, vb, vc, vd, ta, tb, tc, td, on_rate, on_change
         )
         a.folded[h, 0] = ga
         a.folded[h, 1] = gb
