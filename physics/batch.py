@@ -89,8 +89,9 @@ class Batch:
         self.laws = Laws(kinds[0])
         self.device = torch.device(device)
         self.dtype = torch.float64 if double else torch.float32
+        offered = None
         if isinstance(substeps, str) and substeps == "auto":
-            substeps = [steps for steps, _ in _of_each(stable_stepping, systems, [1 / fps] * len(systems))]
+            substeps, offered = zip(*_of_each(stable_stepping, systems, [1 / fps] * len(systems)), strict=True)
         self.substeps = _each(systems, "substeps", substeps)
         if not ((self.substeps >= 1) & (self.substeps < np.inf) & (self.substeps == np.floor(self.substeps))).all():
             raise ValueError(f"substeps must be whole numbers >= 1 or 'auto', got {substeps}")
@@ -109,7 +110,7 @@ class Batch:
         if self.easing and self.colliding:
             raise ValueError("a system can have terms that are viscous in a solid or a sheet, or one of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
-            rounds = _of_each(stable_rounds, systems, self.dt)
+            rounds = offered if offered and dt is None else _of_each(stable_rounds, systems, self.dt)
         self.rounds = _each(systems, "rounds", rounds)
         if not ((self.rounds == 1) | ((self.rounds >= 2) & (self.rounds < np.inf) & (self.rounds % 2 == 0))).all():
             raise ValueError(f"rounds must be 1, even numbers or 'auto', got {rounds}")

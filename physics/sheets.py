@@ -243,15 +243,15 @@ def internal_forces(sheet: Sheet, x, membrane: Callable, plate: Callable) -> np.
 
     ``membrane(strain)`` gives the stress resultants [N/m] of strains (F, 3), ``plate(curvature)`` moments per length [N].
     """
-    a = _tangents(sheet, x)
-    angle = fold_angles(x[sheet.folds]) - sheet.rest_angles
-    return _forces(sheet, x, membrane((_inner(a, a) - [1.0, 1.0, 0.0]) / 2), plate(_curvature(sheet, angle)))
+    a, slope, angle = _tangents(sheet, x), fold_gradients(x[sheet.folds]), fold_angles(x[sheet.folds]) - sheet.rest_angles
+    return _forces(sheet, len(x), a, slope, membrane((_inner(a, a) - [1.0, 1.0, 0.0]) / 2), plate(_curvature(sheet, angle)))
 
 
 def damping_forces(sheet: Sheet, x, v, membrane: Callable, plate: Callable) -> np.ndarray:
     """(M, 3) N on the particles at ``x`` moving with ``v`` (M, 3): as ``internal_forces``, of the rates of strains and curvatures."""
-    turning = (fold_gradients(x[sheet.folds]) * v[sheet.folds]).sum((1, 2))
-    return _forces(sheet, x, membrane(_inner(_tangents(sheet, x), _tangents(sheet, v))), plate(_curvature(sheet, turning)))
+    a, slope = _tangents(sheet, x), fold_gradients(x[sheet.folds])
+    turning = (slope * v[sheet.folds]).sum((1, 2))
+    return _forces(sheet, len(x), a, slope, membrane(_inner(a, _tangents(sheet, v))), plate(_curvature(sheet, turning)))
 
 
 def _tangents(sheet, at):
@@ -266,20 +266,20 @@ def _inner(a, b):
 
 
 def _curvature(sheet, angle):
-    """(F, 3) of triangles whose folds have ``angle`` (H,)."""
-    return np.einsum("fck,fk->fc", sheet.curving, np.where(sheet.sides >= 0, np.append(angle, 0.0)[sheet.sides], 0.0))
+    """(F, 3) of triangles whose folds have ``angle`` (H,): none at a free edge, whose fold is -1."""
+    return np.einsum("fck,fk->fc", sheet.curving, np.append(angle, 0.0)[sheet.sides])
 
 
-def _forces(sheet, x, resultants, moments):
-    """(M, 3) N on the particles at ``x`` by ``resultants`` and ``moments`` (F, 3) of the triangles."""
-    force, here = np.zeros_like(x), sheet.sides >= 0
-    piola = np.einsum("fij,fjk->fik", _tangents(sheet, x), resultants[:, [0, 2, 2, 1]].reshape(-1, 2, 2))
+def _forces(sheet, count, a, slope, resultants, moments):
+    """(count, 3) N on the particles by ``resultants`` and ``moments`` (F, 3), tangents being ``a`` and gradients of angles ``slope``."""
+    force, here = np.zeros((count, 3)), sheet.sides >= 0
+    piola = np.einsum("fij,fjk->fik", a, resultants[:, [0, 2, 2, 1]].reshape(-1, 2, 2))
     pulls = -sheet.areas[:, None, None] * np.einsum("fij,fkj->fki", piola, sheet.inverse)
     np.add.at(force, sheet.triangles[:, 1:], pulls)
     np.add.at(force, sheet.triangles[:, 0], -pulls.sum(1))
     work = sheet.bent_areas[:, None] * np.einsum("fck,fc->fk", sheet.curving, moments * TWICE)
     moment = np.bincount(sheet.sides[here], work[here], len(sheet.folds))
-    np.add.at(force, sheet.folds, -moment[:, None, None] * fold_gradients(x[sheet.folds]))
+    np.add.at(force, sheet.folds, -moment[:, None, None] * slope)
     return force
 
 

@@ -19,7 +19,7 @@ FLAT = 1.0e-12  # m^2: less than a face
 
 
 def shell_functions(kit):
-    """(creased, measure, along, curvature, tangents, placed, moving, spread, strained, changed): what both ways share."""
+    """Both ways share (creased, at_nodes, corners, measure, along, curvature, tangents, placed, moving, spread, strained, changed)."""
     R, vec, World, get_x = kit.R, kit.vec, kit.World, kit.get_x
 
     @wp.func
@@ -38,21 +38,34 @@ def shell_functions(kit):
         return angle, left * (s - R(1.0)) + right * (t - R(1.0)), left * -s - right * t, left, right
 
     @wp.func
+    def at_nodes(of: wp.array(dtype=vec), w: World, h: int):
+        """``of`` the four nodes of fold ``h``."""
+        return of[w.fold[h, 0]], of[w.fold[h, 1]], of[w.fold[h, 2]], of[w.fold[h, 3]]
+
+    @wp.func
+    def corners(w: World, slot: int, h: int):
+        """Where the four nodes of fold ``h`` are."""
+        at = slot * w.nodes
+        return (
+            get_x(w.state, at + w.fold[h, 0]),
+            get_x(w.state, at + w.fold[h, 1]),
+            get_x(w.state, at + w.fold[h, 2]),
+            get_x(w.state, at + w.fold[h, 3]),
+        )
+
+    @wp.func
     def measure(w: World, slot: int, h: int):
         """Leave the angle of fold ``h``; its gradients."""
-        i = slot * w.nodes + w.fold[h, 0]
-        j = slot * w.nodes + w.fold[h, 1]
-        k = slot * w.nodes + w.fold[h, 2]
-        o = slot * w.nodes + w.fold[h, 3]
-        angle, ga, gb, gc, gd = creased(get_x(w.state, i), get_x(w.state, j), get_x(w.state, k), get_x(w.state, o))
+        a, b, c, d = corners(w, slot, h)
+        angle, ga, gb, gc, gd = creased(a, b, c, d)
         w.angle[h] = angle - w.rest_angle[h]
         return ga, gb, gc, gd
 
     @wp.func
     def along(of: wp.array(dtype=vec), w: World, h: int, ga: vec, gb: vec, gc: vec, gd: vec):
         """How much the angle of fold ``h`` with these gradients changes as nodes move by ``of``."""
-        near = wp.dot(ga, of[w.fold[h, 0]]) + wp.dot(gb, of[w.fold[h, 1]])
-        return near + wp.dot(gc, of[w.fold[h, 2]]) + wp.dot(gd, of[w.fold[h, 3]])
+        a, b, c, d = at_nodes(of, w, h)
+        return wp.dot(ga, a) + wp.dot(gb, b) + wp.dot(gc, c) + wp.dot(gd, d)
 
     @wp.func
     def curvature(of: wp.array(dtype=R), w: World, f: int):
@@ -99,7 +112,7 @@ def shell_functions(kit):
         """Its change as the tangents change by ``u`` and ``v``."""
         return vec(wp.dot(s, u), wp.dot(t, v), (wp.dot(s, v) + wp.dot(t, u)) * R(0.5))
 
-    return creased, measure, along, curvature, tangents, placed, moving, spread, strained, changed
+    return creased, at_nodes, corners, measure, along, curvature, tangents, placed, moving, spread, strained, changed
 
 
 def make_shells(kit):
@@ -112,7 +125,7 @@ def make_shells(kit):
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
     load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
-    _creased, measure, along, curvature, _tangents, placed, moving, spread, strained, changed = shell_functions(kit)
+    measure, along, curvature, _tangents, placed, moving, spread, strained, changed = shell_functions(kit)[3:]
 
     @wp.func
     def leave(w: World, f: int, s: vec, t: vec, stress: vec):
@@ -193,13 +206,13 @@ def make_back_shells(kit):
     """(back_crease, back_panel, back_fold, back_ease_crease, back_ease_panel, back_ease_fold, redraped): a fold's angle again, with its
     change by the adjoints of forces; the adjoints of a triangle and of a fold; the same of damping in a round; what a node gets of them.
     """
-    R, vec, World, Adjoint, get_x = kit.R, kit.vec, kit.World, kit.Adjoint, kit.get_x
+    R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
     pm, pp, pd, pf = (kit.vectors[s] for s in SHEETS)
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
     load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
     give_membrane, give_plate, give_viscous_membrane, give_viscous_plate = (kit.give_all[s] for s in SHEETS)
-    creased, measure, along, curvature, tangents, placed, moving, spread, strained, changed = shell_functions(kit)
+    creased, at_nodes, corners, measure, along, curvature, tangents, placed, moving, spread, strained, changed = shell_functions(kit)
 
     @wp.func
     def work(stress: vec, strain: vec):
@@ -309,56 +322,36 @@ def make_back_shells(kit):
                 give_viscous_plate(a.viscous_plate, f, gp_plate * area)
 
     @wp.func
-    def corners(w: World, slot: int, h: int):
-        at = slot * w.nodes
-        return (
-            get_x(w.state, at + w.fold[h, 0]),
-            get_x(w.state, at + w.fold[h, 1]),
-            get_x(w.state, at + w.fold[h, 2]),
-            get_x(w.state, at + w.fold[h, 3]),
-        )
+    def leave_nodes(a: Adjoint, h: int, first: int, ga: vec, gb: vec, gc: vec, gd: vec):
+        """Leave what the nodes of fold ``h`` get, from ``first`` on."""
+        a.folded[h, first] = ga
+        a.folded[h, first + 1] = gb
+        a.folded[h, first + 2] = gc
+        a.folded[h, first + 3] = gd
 
     @wp.func
     def back_fold(w: World, a: Adjoint, slot: int, h: int):
         """Leave the adjoints of fold ``h`` at its nodes, from what its triangles left."""
         xa, xb, xc, xd = corners(w, slot, h)
-        ta = a.force[slot % 2, w.fold[h, 0]]
-        tb = a.force[slot % 2, w.fold[h, 1]]
-        tc = a.force[slot % 2, w.fold[h, 2]]
-        td = a.force[slot % 2, w.fold[h, 3]]
+        ta, tb, tc, td = at_nodes(a.force[slot % 2], w, h)
         on = summed(a, w, h, 0)
         on_change = summed(a, w, h, 1)
         ga, gb, gc, gd, _a, _b, _c, _d, _on, _oc = wp.grad(crease_dot)(xa, xb, xc, xd, ta, tb, tc, td, on, on_change)
-        a.folded[h, 0] = ga
-        a.folded[h, 1] = gb
-        a.folded[h, 2] = gc
-        a.folded[h, 3] = gd
+        leave_nodes(a, h, 0, ga, gb, gc, gd)
 
     @wp.func
     def back_ease_fold(w: World, a: Adjoint, slot: int, r: int, h: int):
         """The same of the damping of round ``r``: of their x, and of their v."""
         xa, xb, xc, xd = corners(w, slot, h)
-        va = w.eased[slot, r, w.fold[h, 0]]
-        vb = w.eased[slot, r, w.fold[h, 1]]
-        vc = w.eased[slot, r, w.fold[h, 2]]
-        vd = w.eased[slot, r, w.fold[h, 3]]
-        ta = a.eased[w.fold[h, 0]]
-        tb = a.eased[w.fold[h, 1]]
-        tc = a.eased[w.fold[h, 2]]
-        td = a.eased[w.fold[h, 3]]
+        va, vb, vc, vd = at_nodes(w.eased[slot, r], w, h)
+        ta, tb, tc, td = at_nodes(a.eased, w, h)
         on_rate = summed(a, w, h, 0)
         on_change = summed(a, w, h, 1)
         ga, gb, gc, gd, ha, hb, hc, hd, _a, _b, _c, _d, _or, _oc = wp.grad(eased_crease_dot)(
             xa, xb, xc, xd, va, vb, vc, vd, ta, tb, tc, td, on_rate, on_change
         )
-        a.folded[h, 0] = ga
-        a.folded[h, 1] = gb
-        a.folded[h, 2] = gc
-        a.folded[h, 3] = gd
-        a.folded[h, 4] = ha
-        a.folded[h, 5] = hb
-        a.folded[h, 6] = hc
-        a.folded[h, 7] = hd
+        leave_nodes(a, h, 0, ga, gb, gc, gd)
+        leave_nodes(a, h, 4, ha, hb, hc, hd)
 
     @wp.func
     def redraped(w: World, a: Adjoint, i: int, speed: int):

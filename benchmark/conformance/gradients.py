@@ -323,11 +323,11 @@ def check(batch, inputs, name, indices, **window):
         for share in (1.0, 0.1):
             expected = central_difference(batch, inputs, name, int(i), share, **window)
             scale = max(abs(expected), 1e-3 * gradient.abs().max().item(), 1e-6)
-            if abs(gradient[i].item() - expected) < 1e-4 * scale:
+            if agrees := abs(gradient[i].item() - expected) < 1e-4 * scale:
                 break
         which = batch.columns[i % len(batch.columns)] if name == "table" else int(i)
         said = f"gradient of {name} {which}: {gradient[i].item():.6g}, and by differences {expected:.6g}"
-        require(abs(gradient[i].item() - expected) < 1e-4 * scale, said)
+        require(agrees, said)
 
 
 def some(gradient, count=6):

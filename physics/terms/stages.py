@@ -3,7 +3,7 @@
 ``given`` are the arguments of the stage's laws, before ``p`` and ``o``; the numpy ``twin`` is given the same, and then the parameters.
 
 Forces are summed over axial, strand, hinge, facet, solid (with what alters it), membrane, plate, layer, body, surface, touch, grip and
-observer terms, then v <- velocity(v + dt F / m), then what is viscous in a solid or a sheet in rounds, or contacts, then move.
+observer terms, then v <- velocity(v + dt F / m), in rounds with what is viscous in a solid or a sheet, or then contacts, then move.
 
 A solid is a grid of cells (``physics.grids``); deformed is the deformation gradient F (3, 3) from the grid's axes to the room, rate [1/s]
 its rate. ``home`` [m] is where the material was in frame 0. A solid that grew or flowed has a rest shape G of its own: laws but the
@@ -309,6 +309,7 @@ class SetupTerm(Term):
 _SPRINGS = (AxialTerm, StrandTerm, HingeTerm, FacetTerm)
 _CELLS = (GrowthTerm, FlowTerm, SolidTerm, MaterialTerm, BranchTerm, ViscousTerm)
 _SHEETS = (MembraneTerm, PlateTerm, ViscousMembraneTerm, ViscousPlateTerm)
+_EASED = (ViscousTerm, ViscousMembraneTerm, ViscousPlateTerm)
 _POINTS = (BodyTerm, SurfaceTerm, TouchTerm, GripTerm)
 _STAGED = (*_SPRINGS, *_CELLS, *_SHEETS, LayerTerm, *_POINTS, ObserverTerm, VelocityTerm, ContactTerm, MoveTerm)
 
@@ -318,5 +319,5 @@ STAGES = tuple(STAGE_CLASSES)
 STAGED = tuple(c.stage for c in _STAGED)  # whose laws are in the kernels
 CELLS = tuple(c.stage for c in _CELLS)  # of solids: what they do they do in a grid's cells
 SHEETS = tuple(c.stage for c in _SHEETS)
-EASED = ("viscous", "viscous_membrane", "viscous_plate")  # in rounds
+EASED = tuple(c.stage for c in _EASED)  # in rounds
 ARGUMENTS = {c.stage: c.given for c in _STAGED}

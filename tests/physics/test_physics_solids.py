@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -479,7 +478,7 @@ def test_a_substep_of_a_damped_body_is_as_long_as_stability_allows(damped):
         return KelvinVoigt.twin(rate, one.values["viscosity"], 0.3)
 
     columns = []
-    for i, k in product(free, range(3)):
+    for i, k in itertools.product(free, range(3)):
         way = np.zeros_like(one.positions)
         way[i, k] = 1.0
         columns.append(-damping_forces(one.grid, one.positions, way, viscous, lateral=LATERAL)[free].ravel())
