@@ -18,7 +18,9 @@ from .bodies import Body
 from .body import SolidBody
 from .config import Config
 from .flattening import flattened
-from .meshing import located, meshed, smoothed
+from .hands import bar_of, groups_of
+from .held import recording_reach
+from .meshing import Strip, located, meshed, smoothed
 from .unknowns import Unknown, rounded_up
 
 __all__ = ["Cloth"]
@@ -27,22 +29,29 @@ AREAL_DENSITY = 0.2  # kg/m^2 of every sheet: without a told mass only ratios to
 GRAVITY = 9.81  # m/s^2, that makes lengths and rigidities comparable, wherever the sheet is
 NODES = 98  # ten along the side of a square. Values belong to the mesh in which they were fitted, and 220 nodes cost ten times as much
 USUAL_LENGTH = 0.02  # m, the bending length (B / weight per area)^(1/3) of a common fabric
-MEMBRANE = 40.0  # N/m: a sheet of half a metre hangs longer by 2 %; much less does not show, and asks for shorter steps
+MEMBRANE = 100.0  # N/m: a sheet of half a metre hangs longer by 1 %; much less does not show, and asks for shorter steps
 RATTLE = 1e-4  # s, damping time of stretch: its waves die out within some ten substeps
 RIGIDITIES = (0.1, 0.7, 5.0, 40.0)  # times the usual one, from which searches start: bending lengths of 1 to 7 cm
-STIFFNESSES = (0.4, 1.5)  # likewise
+STIFFNESSES = (0.3, 1.5)  # likewise
 REACHES = (0.6, 1.2)  # of hands: how much of a cloth is pinched turns it, and no search finds that from far away
 FEWEST = 20  # points that tell a sheet
 LAYER = 0.003  # m, from the middle of one layer to that of the next: cloth is 1 to 2 mm thick and not pressed flat
+MIDDLES = np.array([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]])  # of a triangle's edges, in its barycentric coordinates
+BESIDE = 12  # points that tell where on the sheet a controller is
 FOLDED = 0.05  # share of the nodes that have another layer beside them, from which on a sheet lies on itself
-ELSEWHERE, BESIDE = 4.0, 1.0  # edges: two nodes this far apart on the sheet, and this near each other in the room, are on two layers
+ELSEWHERE, CLOSE = 4.0, 1.0  # edges: two nodes this far apart on the sheet, and this near each other in the room, are on two layers
+
+_QUARTERS = np.array([[[1, 0, 0], [0.5, 0.5, 0], [0.5, 0, 0.5]], [[0, 1, 0], [0, 0.5, 0.5], [0.5, 0.5, 0]],
+                      [[0, 0, 1], [0.5, 0, 0.5], [0, 0.5, 0.5]], [[0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]]])  # fmt: skip
+FINER = (MIDDLES @ _QUARTERS).reshape(-1, 3)  # of its quarters' edges; those between two of them come twice, as their mass does
 
 
 @dataclass(frozen=True, eq=False)
 class Cloth(Body):
     """``nodes`` (N, 3) m in frame 0, and ``triangles`` (F, 3) between them, as large there as at rest, where the sheet is flat.
 
-    corners, weights  (M, 3) of the structure points: in which triangle they are, and where
+    gripped           (F,) bool: triangles that a hand may hold
+    corners, weights  (M, K) of the structure points: of which nodes they are mixtures, and which (``meshing.located``)
 
     Its values, at 0.2 kg/m^2: plate_rigidity [N m], plate_time [s], its damping over that; membrane_stiffness [N/m]; plate_drag [kg/m^3];
     drag_damping [1/s].
@@ -59,6 +68,7 @@ class Cloth(Body):
 
     nodes: np.ndarray
     triangles: np.ndarray
+    gripped: np.ndarray
     corners: np.ndarray
     weights: np.ndarray
     structure: np.ndarray
@@ -73,6 +83,8 @@ class Cloth(Body):
     @classmethod
     def drawn(cls, recording: Observed, frames, count: int) -> Cloth:
         """Of about ``count`` nodes; ``frames`` (T, C, 3) are positions of tracks that may tell layers apart."""
+        from scipy.spatial import cKDTree
+
         known, tracks = _known(recording, frames)
         structure = recording.structure
         points = structure[known]
@@ -80,18 +92,23 @@ class Cloth(Body):
             raise ValueError(f"a sheet must have at least {FEWEST} points in frame 0, got {len(points)} (scenario {recording.name})")
         try:
             flat = flattened(points, tracks)
-            chosen, triangles, pitch = meshed(flat, count)
+            at, triangles, pitch = meshed(flat, count, strips_of(recording, points, flat))
         except ValueError as error:
             raise ValueError(f"{error} (scenario {recording.name})") from None
-        nodes = smoothed(flat, points, flat[chosen], pitch)
-        corners, weights = np.zeros((len(structure), 3), int), np.zeros((len(structure), 3))
-        corners[known], weights[known] = located(flat, flat[chosen], triangles)
+        nodes = smoothed(flat, points, at, pitch)
+        mixed, shares = located(flat, at, triangles)
+        corners, weights = np.zeros((len(structure), mixed.shape[1]), int), np.zeros((len(structure), mixed.shape[1]))
+        corners[known], weights[known] = mixed, shares
         notes = ()
         if not known.all():  # a track that was not seen is where the recording guesses it
             near = np.linalg.norm(structure[~known, None] - points[None], axis=2).argmin(1)
             corners[~known], weights[~known] = corners[known][near], weights[known][near]
             notes = (f"{int((~known).sum())} points that were not seen in frame 0 go with the nearest that were",)
-        return cls(nodes, triangles, corners, weights, structure, notes)
+        gripped = np.zeros(len(triangles), bool)
+        if recording.controllers.shape[1]:
+            far = cKDTree(recording.controllers[0]).query(nodes)[0]
+            gripped = far[triangles].min(1) < pitch
+        return cls(nodes, triangles, gripped, corners, weights, structure, notes)
 
     def coarser(self, recording: Observed, times: float) -> Cloth:
         if times == 1.0:
@@ -122,7 +139,7 @@ class Cloth(Body):
         from scipy.spatial import cKDTree
 
         pitch = float(np.median(np.linalg.norm(np.diff(self.nodes[self.sheet.folds[:, :2]], axis=1)[:, 0], axis=1)))
-        pairs = cKDTree(self.nodes).query_pairs(BESIDE * pitch, output_type="ndarray")
+        pairs = cKDTree(self.nodes).query_pairs(CLOSE * pitch, output_type="ndarray")
         ways = on_the_sheet(self.nodes, self.triangles, ELSEWHERE * pitch)
         layered = np.unique(pairs[~np.isfinite(ways[pairs[:, 0], pairs[:, 1]])])
         return len(layered) > FOLDED * len(self.nodes)
@@ -134,14 +151,20 @@ class Cloth(Body):
 
     @cached_property
     def points(self) -> Points:
-        """Mass in the middles of edges, which integrate quadratics, near enough to each other for a smooth grip; the skin at nodes."""
+        """Mass in the middles of edges, which integrate quadratics; near hands in those of triangles a quarter as large, lest what they
+        hold grows by leaps. The skin at nodes."""
         count, sheet = len(self.nodes), self.sheet
-        sides = np.sort(np.concatenate([sheet.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
-        edges, which = np.unique(sides, axis=0, return_inverse=True)
-        inside = np.bincount(which.ravel(), np.tile(AREAL_DENSITY * sheet.areas / 3, 3))
-        nodes = np.concatenate([edges, np.repeat(np.arange(count)[:, None], 2, 1)])
-        weights = np.concatenate([np.full(edges.shape, 0.5), np.tile([1.0, 0.0], (count, 1))])
-        areas = np.concatenate([np.zeros(len(edges)), sheet.masses(1.0, count)])
+        nodes, weights, masses = [], [], []
+        for own, places in ((~self.gripped, MIDDLES), (self.gripped, FINER)):
+            nodes.append(np.repeat(sheet.triangles[own], len(places), 0))
+            weights.append(np.tile(places, (int(own.sum()), 1)))
+            masses.append(np.repeat(AREAL_DENSITY * sheet.areas[own] / len(places), len(places)))
+        nodes, weights = _shared(np.concatenate(nodes), np.concatenate(weights))
+        found, first, which = np.unique(np.concatenate([nodes, weights], 1), axis=0, return_index=True, return_inverse=True)
+        inside = np.bincount(which.ravel(), np.concatenate(masses))
+        nodes = np.concatenate([nodes[first], np.repeat(np.arange(count)[:, None], 3, 1)])
+        weights = np.concatenate([weights[first], np.tile([1.0, 0.0, 0.0], (count, 1))])
+        areas = np.concatenate([np.zeros(len(found)), sheet.masses(1.0, count)])
         home = np.einsum("pk,pki->pi", weights, self.nodes[nodes])
         masses = np.concatenate([inside, np.zeros(count)])
         return Points(nodes, weights, home, masses, areas, np.full(len(nodes), -1), np.zeros(len(nodes)))
@@ -176,7 +199,7 @@ class Cloth(Body):
         from scipy.sparse import coo_matrix, vstack
         from scipy.sparse.linalg import lsqr
 
-        count, rows = len(self.nodes), np.repeat(np.arange(len(self.corners)), 3)
+        count, rows = len(self.nodes), np.repeat(np.arange(len(self.corners)), self.corners.shape[1])
         told = coo_matrix((self.weights.ravel(), (rows, self.corners.ravel())), (len(self.corners), count))
         ends = self.sheet.folds[:, :2]
         alike = coo_matrix((np.tile([0.1, -0.1], len(ends)), (np.repeat(np.arange(len(ends)), 2), ends.ravel())), (len(ends), count))
@@ -210,11 +233,41 @@ class Cloth(Body):
     # ---------------------------------------------------------------- kept
 
     def arrays(self):
-        return {name: getattr(self, name) for name in ("nodes", "triangles", "corners", "weights", "structure")}
+        return {name: getattr(self, name) for name in ("nodes", "triangles", "gripped", "corners", "weights", "structure")}
 
     @classmethod
     def restored(cls, arrays, notes):
         return cls(**arrays, notes=notes)
+
+
+def strips_of(recording: Observed, points, flat) -> list[Strip]:
+    """What bars hold of the sheet of ``points`` (N, 3) [m] in frame 0, which lie at ``flat`` (N, 2) where it is laid out."""
+    from scipy.spatial import cKDTree
+
+    found, tree = [], cKDTree(points)
+    for group in groups_of(recording.controllers):
+        told = recording.controllers[0, group]
+        if bar_of(told) is None:
+            continue
+        far, near = tree.query(told, k=min(BESIDE, len(points)))
+        held = far[:, 0] < recording_reach(recording)
+        if held.sum() > 2:
+            found.append(Strip.of(np.array([_laid(p, points[n], flat[n]) for p, n in zip(told[held], near[held], strict=True)])))
+    return found
+
+
+def _shared(nodes, weights):
+    """``nodes`` and ``weights`` (P, 3) so ordered that a place on the edge of two triangles is written alike in both: the heaviest first,
+    of equals the lower number, and what weighs nothing as the first."""
+    order = np.lexsort((nodes, -weights))
+    nodes, weights = np.take_along_axis(nodes, order, 1), np.take_along_axis(weights, order, 1)
+    return np.where(weights > 0, nodes, nodes[:, :1]), weights
+
+
+def _laid(place, points, flat):
+    """(2,) m, where ``place`` (3,) is on the sheet whose ``points`` (k, 3) near it lie at ``flat`` (k, 2)."""
+    middle, home = points.mean(0), flat.mean(0)
+    return home + (place - middle) @ np.linalg.lstsq(points - middle, flat - home, rcond=0.1)[0]
 
 
 def on_the_sheet(nodes, triangles, most: float) -> np.ndarray:

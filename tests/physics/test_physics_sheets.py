@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_bvp
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 from scipy.spatial.transform import Rotation
 from twinbench.benchmark.conformance.gradients import check, draped, leaves, loss, some
-from twinbench.methods.continuum.meshing import meshed
+from twinbench.methods.continuum.outline import areas
 from twinbench.physics.batch import Batch
 from twinbench.physics.kernels import build
 from twinbench.physics.rounds import ease
@@ -134,14 +134,29 @@ def test_curvature_of_a_cylinder(name, way):
     assert (sheet.bent_areas @ density) / sheet.areas.sum() == pytest.approx(1, rel=0.05)
 
 
+def scattered(seed, count=220):
+    """((count, 2) places as far from each other as can be among many at random, Delaunay's triangles but the thin ones of the rim)."""
+    places = np.random.default_rng(seed).uniform(0, 1, (1500, 2)) * [0.5, 0.4]
+    found = [int(np.linalg.norm(places - places.mean(0), axis=1).argmax())]
+    apart = np.linalg.norm(places - places[found[0]], axis=1)
+    while len(found) < count:
+        found.append(int(apart.argmax()))
+        apart = np.minimum(apart, np.linalg.norm(places - places[found[-1]], axis=1))
+    points = places[found]
+    triangles = Delaunay(points).simplices
+    corners = points[triangles]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    area = areas(corners)
+    wide = 1.3 * np.median(cKDTree(points).query(points, k=2)[0][:, 1])
+    return points, triangles[(sides.prod(1) / (4 * area) < wide) & (2 * area > 0.05 * sides.max(1) ** 2)]
+
+
 @pytest.mark.parametrize("seed", [35, 47, 59])
 def test_what_three_angles_tell_badly_stiffens_no_mesh(seed):
     # scattered points, of which some triangle and the corners beside it lie nearly on a conic: measured by its own angles it would bend
     # more than three times as hard as the middle one for its size, nine times in energy; its neighbours carry its area, exactly. A
     # cylinder's W = B k^2 / 2 is met as on a lattice, within the rim's 5 %
-    flat_points = np.random.default_rng(seed).uniform(0, 1, (1500, 2)) * [0.5, 0.4]
-    nodes, triangles, _ = meshed(flat_points, 220)
-    points = flat_points[nodes]
+    points, triangles = scattered(seed)
     sheet = Sheet.of(flat(points), triangles)
     hard = np.linalg.norm(sheet.curving, axis=(1, 2)) * np.sqrt(sheet.areas)
     carries, whole = sheet.bent_areas > 0, (sheet.sides >= 0).all(1)
