@@ -37,7 +37,7 @@ class Sheet:
     """F triangles over the particles of a system, in their rest shape.
 
     triangles    (F, 3) int: particles, all in the same sense
-    corners      (F, 3, 2) m: where a triangle's corners are at rest, in its own plane, the first in the origin
+    corners      (F, 3, 2) m: where a triangle's corners are at rest, in axes of its plane, the first in the origin
     folds        (H, 4) int: the ends of an edge that two triangles share, then the corners across; (0, 1, 2) runs as its triangle does
     rest_angles  (H,) rad that folds have at rest, positive where both neighbours lean to the side that the normal points to
     """
@@ -48,8 +48,11 @@ class Sheet:
     rest_angles: np.ndarray
 
     @classmethod
-    def of(cls, points, triangles, *, flat: bool = True) -> Sheet:
+    def of(cls, points, triangles, *, flat: bool = True, laid=None) -> Sheet:
         """The sheet whose triangles (F, 3) have the sides that they have at ``points`` (M, 3) [m], and no angles (``flat``) or those there.
+
+        laid  (M, 2) m, where the points are when the sheet is laid out: its axes are those of each triangle's plane. Unless given, a
+              triangle's first axis is its first side, and no law may tell directions
 
         Triangles are turned to one sense, that of the first of each piece. Raises ValueError where they make no sheet.
         """
@@ -65,6 +68,8 @@ class Sheet:
         second = np.cross(np.cross(sides[:, 0], sides[:, 1]) / size[:, None], first)
         corners = np.zeros((len(triangles), 3, 2))
         corners[:, 1:] = np.einsum("fki,jfi->fkj", sides, np.stack([first, second]))
+        if laid is not None:
+            corners = _aligned(corners, np.asarray(laid, float)[triangles])
         folds = _folds(triangles)
         return cls(triangles, corners, folds, np.zeros(len(folds)) if flat else fold_angles(points[folds]))
 
@@ -160,6 +165,18 @@ def _turned(triangles):
                         seen[other] = True
                         waiting.append(other)
     return np.array(found)
+
+
+def _aligned(corners, laid):
+    """``corners`` (F, 3, 2) turned as they lie in ``laid`` (F, 3, 2), which may be seen from behind."""
+    laid = laid[:, 1:] - laid[:, :1]
+    behind = np.linalg.det(laid).sum() < 0
+    laid = laid * [1.0, -1.0 if behind else 1.0]
+    own = corners[:, 1:]
+    turn = np.arctan2((own[..., 0] * laid[..., 1] - own[..., 1] * laid[..., 0]).sum(1), (own * laid).sum((1, 2)))
+    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    x, y = corners[..., 0], corners[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], 2)
 
 
 def _folds(triangles):

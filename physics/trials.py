@@ -10,9 +10,25 @@ from ..datasets.plugins import said
 from .batch import Batch
 from .facets import solid_facets
 from .grids import embed
+from .sheets import Sheet
 from .system import FILLED, System
-from .terms import ControllerSprings, Dashpot, Gravity, Ground, GroundAdhesion, KelvinVoigt, LinearDrag, NeoHookean, Springs, Term
-from .terms.stages import CELLS
+from .terms import (
+    ControllerSprings,
+    Dashpot,
+    Gravity,
+    Ground,
+    GroundAdhesion,
+    KelvinVoigt,
+    LinearDrag,
+    Membrane,
+    MembraneDamping,
+    NeoHookean,
+    PlateBending,
+    PlateDamping,
+    Springs,
+    Term,
+)
+from .terms.stages import CELLS, SHEETS
 from .topology import rope_hinges
 
 __all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "fault", "run", "thrown"]
@@ -77,6 +93,8 @@ def thrown(term, share, table=True, *, roped=None):
     seen = x + path[:, None, None] * [0.0, 0.03, 0.02]
     if term.stage in CELLS:
         return foam(term, share, table)
+    if term.stage in SHEETS:
+        return cloth(term, share, table)
     extra = () if share is None else (term,)
     stiff = np.full(len(springs) + len(ties), 40.0)
     plane = {"adhesion_normal_z": 1.0} if extra == (GroundAdhesion,) else {}
@@ -128,8 +146,37 @@ def foam(term, share, table=True):
     return system.with_values(**{name: share * value for name, value in term.stands_for().typical.items()})
 
 
+def cloth(term, share, table=True):
+    """A sheet between two hands that pull, press, shear and twist it, with ``term`` as in ``thrown``; ``table``: far."""
+    flat = 0.02 * np.stack(np.meshgrid(np.arange(9.0), np.arange(6.0), indexing="ij"), -1).reshape(-1, 2)
+    rest, path = np.column_stack([flat, np.zeros(len(flat))]), np.linspace(0, 1, 11)[:, None, None]
+    corner = (6 * np.arange(8)[:, None] + np.arange(5)).ravel()
+    triangles = np.concatenate([corner[:, None] + [0, 6, 7], corner[:, None] + [0, 7, 1]])
+    sheet = Sheet.of(rest, triangles, laid=flat)
+    left, right = np.arange(6), len(flat) - 6 + np.arange(6)
+    far = np.sin(2 * np.pi * path) * (0.03 if table else 0.01)
+    lead = far * [0.5, 0.3, 0.3] + far * np.cross([1.0, 0.0, 0.0], (rest[right] - rest[right].mean(0)) / 0.05)
+    kinds = [Membrane({"membrane_stiffness": 40.0}), PlateBending({"plate_rigidity": 1e-4}), Gravity({"gravity_z": -G})]
+    kinds += [MembraneDamping({"membrane_viscosity": 4e-3}), PlateDamping({"plate_viscosity": 1e-6})]
+    extra = [] if share is None else [term()]
+    system = System(
+        positions=rest,
+        velocities=np.random.default_rng(0).normal(size=rest.shape) * 0.01,
+        masses=sheet.masses(0.2, len(rest)),
+        springs=np.zeros((0, 2), int),
+        stiffness=np.zeros(0),
+        controllers=np.concatenate([np.repeat(rest[None, left], 11, 0), rest[right] + lead], 1),
+        grips=np.concatenate([left, right]),
+        terms=[*kinds, *extra],
+        sheet=sheet,
+    )
+    if share is None:
+        return system
+    return system.with_values(**{name: share * value for name, value in term.stands_for().typical.items()})
+
+
 def run(term, *args, **options):
-    substeps = 120 if term.stage in CELLS else 60  # foam that stiffens is stiffer than it looks at rest
+    substeps = 120 if term.stage in (*CELLS, *SHEETS) else 60  # what stiffens is stiffer than it looks at rest
     return Batch([thrown(term, *args, **options)], fps=30, substeps=substeps, double=True, workers=1).rollout().positions[0].numpy()
 
 

@@ -1,4 +1,7 @@
-"""What a solid's material may be beside neo-Hookean and viscous. Fibres are tried in four directions of the body's plane and across it."""
+"""What a solid's material may be beside neo-Hookean and viscous, and a sheet's beside linear and isotropic.
+
+Fibres and yarns are tried in four directions of the body's plane.
+"""
 
 from math import pi
 
@@ -7,8 +10,9 @@ from .effect import Effect
 
 __all__ = ["EFFECTS"]
 
-SOLID = ("solid",)
-WAYS = {"fibre_azimuth": (0.0, pi / 4, pi / 2, -pi / 4), "fibre_elevation": (0.0,), "fibre_compression": (1.0,)}
+SOLID, SHEET = ("solid",), ("sheet",)
+AROUND = (0.0, pi / 4, pi / 2, -pi / 4)
+WAYS = {"fibre_azimuth": AROUND, "fibre_elevation": (0.0,), "fibre_compression": (1.0,)}
 
 EFFECTS = (
     Effect.of_term("material", terms.Fibres, SOLID, shapes=WAYS),
@@ -20,4 +24,8 @@ EFFECTS = (
     Effect.of_term("material", terms.NortonCreep, SOLID, shapes={"norton_exponent": (1.0,)}),
     Effect.of_term("material", terms.Yielding, SOLID, shapes={"solid_yield_strain": (0.03,)}),
     Effect.of_term("material", terms.GrownShape, SOLID),
+    Effect.of_term("material", terms.Yarns, SHEET, shapes={"yarn_azimuth": AROUND}),
+    Effect.of_term("material", terms.SheetTension, SHEET),
+    Effect.of_term("material", terms.MembraneStiffening, SHEET, shapes={"membrane_knee": (0.02,)}),
+    Effect.of_term("material", terms.MembraneSlack, SHEET),
 )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Domain", "areas", "even"]
+__all__ = ["Domain", "areas", "even", "squared"]
 
 BAY = 1.3  # of the nodes' distance: radius of the largest circle around a triangle of the area; larger ones are bays of the outline
 CORNER = np.radians(50)  # by which an outline turns within two nodes' distances at a corner
@@ -122,3 +122,20 @@ def _divided(way, step: float) -> np.ndarray:
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     at = np.linspace(0, length[-1], max(4, round(length[-1] / step)) + 1)[:-1]
     return np.stack([np.interp(at, length, w) for w in way.T], 1)
+
+
+def squared(points) -> np.ndarray:
+    """``points`` (N, 2) [m] turned so that the smallest rectangle around them lies along the axes, its longer side along the first."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError:
+        return points
+    sides = np.roll(hull, -1, axis=0) - hull
+    ways = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    across = np.stack([-ways[:, 1], ways[:, 0]], 1)
+    extent = np.stack([np.ptp(hull @ w.T, axis=0) for w in (ways, across)])
+    least = int(extent.prod(0).argmin())
+    axes = np.stack([ways[least], across[least]], 1)
+    return points @ (axes if extent[0, least] >= extent[1, least] else np.stack([axes[:, 1], -axes[:, 0]], 1))

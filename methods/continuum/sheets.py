@@ -21,6 +21,7 @@ from .flattening import flattened
 from .hands import bar_of, groups_of
 from .held import recording_reach
 from .meshing import Strip, located, meshed, smoothed
+from .outline import squared
 from .unknowns import Unknown, rounded_up
 
 __all__ = ["Cloth"]
@@ -50,6 +51,7 @@ FINER = (MIDDLES @ _QUARTERS).reshape(-1, 3)  # of its quarters' edges; those be
 class Cloth(Body):
     """``nodes`` (N, 3) m in frame 0, and ``triangles`` (F, 3) between them, as large there as at rest, where the sheet is flat.
 
+    laid_out          (N, 2) m, the nodes when it is laid out flat, the first axis along its longer side (of a square: either)
     gripped           (F,) bool: triangles that a hand may hold
     corners, weights  (M, K) of the structure points: of which nodes they are mixtures, and which (``meshing.located``)
 
@@ -68,6 +70,7 @@ class Cloth(Body):
 
     nodes: np.ndarray
     triangles: np.ndarray
+    laid_out: np.ndarray
     gripped: np.ndarray
     corners: np.ndarray
     weights: np.ndarray
@@ -91,7 +94,7 @@ class Cloth(Body):
         if len(points) < FEWEST:
             raise ValueError(f"a sheet must have at least {FEWEST} points in frame 0, got {len(points)} (scenario {recording.name})")
         try:
-            flat = flattened(points, tracks)
+            flat = squared(flattened(points, tracks))
             at, triangles, pitch = meshed(flat, count, strips_of(recording, points, flat))
         except ValueError as error:
             raise ValueError(f"{error} (scenario {recording.name})") from None
@@ -108,7 +111,7 @@ class Cloth(Body):
         if recording.controllers.shape[1]:
             far = cKDTree(recording.controllers[0]).query(nodes)[0]
             gripped = far[triangles].min(1) < pitch
-        return cls(nodes, triangles, gripped, corners, weights, structure, notes)
+        return cls(nodes, triangles, at, gripped, corners, weights, structure, notes)
 
     def coarser(self, recording: Observed, times: float) -> Cloth:
         if times == 1.0:
@@ -131,7 +134,7 @@ class Cloth(Body):
 
     @cached_property
     def sheet(self) -> Sheet:
-        return Sheet.of(self.nodes, self.triangles)
+        return Sheet.of(self.nodes, self.triangles, laid=self.laid_out)
 
     @cached_property
     def is_folded(self) -> bool:
@@ -233,7 +236,7 @@ class Cloth(Body):
     # ---------------------------------------------------------------- kept
 
     def arrays(self):
-        return {name: getattr(self, name) for name in ("nodes", "triangles", "gripped", "corners", "weights", "structure")}
+        return {name: getattr(self, name) for name in ("nodes", "triangles", "laid_out", "gripped", "corners", "weights", "structure")}
 
     @classmethod
     def restored(cls, arrays, notes):

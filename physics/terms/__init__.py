@@ -36,6 +36,8 @@ from .linear_drag import LinearDrag
 from .maxwell import Maxwell
 from .membrane import Membrane
 from .membrane_damping import MembraneDamping
+from .membrane_slack import MembraneSlack
+from .membrane_stiffening import MembraneStiffening
 from .neo_hookean import NeoHookean
 from .neo_hookean_membrane import NeoHookeanMembrane
 from .norton_creep import NortonCreep
@@ -50,6 +52,7 @@ from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
 from .second_hand import SecondHand
 from .self_collision import SelfCollision
+from .sheet_tension import SheetTension
 from .soft_grip import SoftGrip
 from .soft_ground import SoftGround
 from .springs import Springs
@@ -63,6 +66,7 @@ from .tension_compression import TensionCompression
 from .torsion import Torsion
 from .viscoelastic import Viscoelastic
 from .wind import Wind
+from .yarns import Yarns
 from .yielding import Yielding
 
 __all__ = [
@@ -102,6 +106,8 @@ __all__ = [
     "Maxwell",
     "Membrane",
     "MembraneDamping",
+    "MembraneSlack",
+    "MembraneStiffening",
     "NeoHookean",
     "NeoHookeanMembrane",
     "NortonCreep",
@@ -116,6 +122,7 @@ __all__ = [
     "RestShape",
     "SecondHand",
     "SelfCollision",
+    "SheetTension",
     "SoftGrip",
     "SoftGround",
     "Springs",
@@ -130,5 +137,6 @@ __all__ = [
     "Torsion",
     "Viscoelastic",
     "Wind",
+    "Yarns",
     "Yielding",
 ]
