@@ -52,6 +52,8 @@ class Scale:
                 far = max(motion_of(prediction - reference) / motion, far + LEAST)
                 numbers.append(np.sign(end) * far)
                 sizes.append(size)
+        if len(numbers) == 1:  # no size of it ends: its linear motion is all that is known
+            return cls(wide, None, np.array([amount.low]) / wide, np.array([amount.high]) / wide)
         order = np.argsort(numbers)
         numbers, sizes = np.array(numbers)[order], np.array(sizes)[order]
         return cls(wide, (numbers, sizes), numbers[:1], numbers[-1:])

@@ -477,6 +477,17 @@ def test_what_blows_up_bounds_an_amount_and_what_does_no_more_is_told_apart():
     assert (np.diff(scale.knots[0]) > 0).all() and (np.diff(scale.knots[1]) > 0).all()
 
 
+def test_an_amount_of_which_no_size_ends_is_taken_as_linear():
+    # every run of it blows up: what its signature says is all that is known, and its slope is that
+    world = World(12)
+    one = replace(world.catalogue[0], candidate=Candidate(effect(), {}), unit=np.array([1.0]))
+    scale = Scale.of(one, lambda amounts: world.reference + np.full((len(amounts), 1), np.nan), world.reference, 20.0)
+    wide = one.unit * one.spread
+    assert scale.knots is None and scale.amounts(np.array([0.5])) == pytest.approx(wide / 2)
+    assert scale.slope(np.zeros(1)) == pytest.approx(wide)
+    assert scale.low * wide == pytest.approx([-100.0]) and scale.high * wide == pytest.approx([100.0])
+
+
 def test_slopes_are_corrected_by_steps_and_not_by_rounding():
     # Broyden's secant: the corrected slopes say what the step did, and are as before across it
     random = np.random.default_rng(2)

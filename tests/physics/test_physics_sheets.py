@@ -26,6 +26,7 @@ from twinbench.physics.terms import (
     PlateBending,
     PlateDamping,
     PlateStiffening,
+    Yarns,
 )
 
 G = 9.81
@@ -165,6 +166,23 @@ def test_what_three_angles_tell_badly_stiffens_no_mesh(seed):
     angle = fold_angles(rolled(points, 2.0, 30.0)[sheet.folds])
     kappa = np.einsum("fck,fk->fc", sheet.curving, np.where(sheet.sides >= 0, angle[sheet.sides], 0.0))
     assert (sheet.bent_areas @ (kappa**2 @ [1.0, 1.0, 2.0])) / sheet.areas.sum() == pytest.approx(4.0, rel=0.05)
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_every_triangle_tells_strains_in_the_sheets_axes(behind):
+    # E = (F'F - 1) / 2 of a homogeneous F, the same tensor in every triangle however it lies; seen from behind the second axis points the
+    # other way. So yarns along the first axis bear k E_11 and those across it k E_22 (``yarns``)
+    laid, triangles = scattered(35, 60)
+    sheet = Sheet.of(flat(laid), triangles if not behind else triangles[:, ::-1], laid=laid)
+    turned = -1.0 if np.linalg.det(laid[sheet.triangles[:, 1:]] - laid[sheet.triangles[:, :1]]).sum() < 0 else 1.0
+    pulled = np.array([[1.10, 0.03], [0.00, 0.95], [0.02, 0.05]])
+    wanted = (pulled.T @ pulled - np.eye(2)) / 2
+    seen = []
+    internal_forces(sheet, laid @ pulled.T, lambda strain: seen.append(strain) or 0 * strain, lambda curvature: 0 * curvature)
+    np.testing.assert_allclose(seen[0], np.tile([wanted[0, 0], wanted[1, 1], turned * wanted[0, 1]], (len(triangles), 1)), atol=1e-9)
+    for azimuth, strain in ((0.0, wanted[0, 0]), (np.pi / 2, wanted[1, 1])):
+        stress = Yarns.twin(seen[0], 50.0, azimuth)
+        np.testing.assert_allclose(np.trace(stress[:, [0, 2, 2, 1]].reshape(-1, 2, 2), axis1=1, axis2=2), 50.0 * strain, atol=1e-7)
 
 
 def test_a_sphere_bends_both_ways():

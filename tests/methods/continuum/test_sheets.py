@@ -11,7 +11,7 @@ from twinbench.methods.continuum.config import Config
 from twinbench.methods.continuum.estimate import estimate
 from twinbench.methods.continuum.flattening import flattened, neighbours, quantile
 from twinbench.methods.continuum.meshing import Strip, located, meshed, smoothed
-from twinbench.methods.continuum.outline import areas
+from twinbench.methods.continuum.outline import areas, squared
 from twinbench.methods.continuum.scene import Scene
 from twinbench.methods.continuum.sheets import AREAL_DENSITY, Cloth
 from twinbench.methods.continuum.simulate import Simulator
@@ -144,6 +144,15 @@ def test_points_are_located_in_their_triangles():
     assert inside.mean() > 0.7 and np.abs(met - height(flat))[inside].max() < 1e-9
     linear = np.einsum("mk,mk->m", weights[:, :3], height(nodes)[corners[:, :3]])
     assert np.abs(linear - height(flat))[inside].max() > 5e-4  # which corners alone do not meet
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.3, 2.8])
+def test_a_sheets_first_axis_lies_along_its_longer_side(turn):
+    # of the smallest rectangle around it: its sides are the sheet's, to within the uneven rim
+    flat = lattice() @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    found = np.ptp(squared(flat), axis=0)
+    assert np.abs(found - SIZE).max() < SPACING / 2
+    np.testing.assert_allclose(np.linalg.norm(squared(flat)[0] - squared(flat)[-1]), np.linalg.norm(flat[0] - flat[-1]))  # only turned
 
 
 def test_points_in_a_row_are_no_sheet():
