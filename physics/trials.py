@@ -120,7 +120,6 @@ def thrown(term, share, table=True, *, roped=None):
 
 def foam(term, share, table=True):
     """A bar of foam between two hands that pull, press, bend and twist it, with ``term`` as in ``thrown``; ``table``: far."""
-    rng = np.random.default_rng(0)
     samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.005 for n in (16, 6, 6)], indexing="ij"), -1).reshape(-1, 3)
     grid = embed(samples, 0.08 * 0.03 * 0.03, 0.02, axes=np.eye(3))
     rest, path = grid.positions, np.linspace(0, 1, 11)[:, None, None]
@@ -129,21 +128,8 @@ def foam(term, share, table=True):
     far = np.sin(2 * np.pi * path) * (0.03 if table else 0.01)
     lead = far * [0.5, 0.5, 0.0] + far * np.cross([1.0, 0.0, 0.0], (rest[right] - rest[right].mean(0)) / 0.03)
     kinds = [NeoHookean({"youngs_modulus": 5e3}), Gravity({"gravity_z": -G}), KelvinVoigt({"viscosity": 20.0})]
-    extra = [] if share is None or term in (NeoHookean, KelvinVoigt) else [term()]
-    system = System(
-        positions=rest,
-        velocities=rng.normal(size=rest.shape) * 0.01,
-        masses=grid.masses(100.0),
-        springs=np.zeros((0, 2), int),
-        stiffness=np.zeros(0),
-        controllers=np.concatenate([np.repeat(rest[None, left], 11, 0), rest[right] + lead], 1),
-        grips=np.concatenate([left, right]),
-        terms=[*kinds, *extra],
-        grid=grid,
-    )
-    if share is None or not extra:
-        return system
-    return system.with_values(**{name: share * value for name, value in term.stands_for().typical.items()})
+    extra = None if term in (NeoHookean, KelvinVoigt) else term
+    return led(rest, left, right, lead, kinds, extra, share, masses=grid.masses(100.0), grid=grid)
 
 
 def cloth(term, share, table=True):
@@ -158,21 +144,24 @@ def cloth(term, share, table=True):
     lead = far * [0.5, 0.3, 0.3] + far * np.cross([1.0, 0.0, 0.0], (rest[right] - rest[right].mean(0)) / 0.05)
     kinds = [Membrane({"membrane_stiffness": 40.0}), PlateBending({"plate_rigidity": 1e-4}), Gravity({"gravity_z": -G})]
     kinds += [MembraneDamping({"membrane_viscosity": 4e-3}), PlateDamping({"plate_viscosity": 1e-6})]
-    extra = [] if share is None else [term()]
+    return led(rest, left, right, lead, kinds, term, share, masses=sheet.masses(0.2, len(rest)), sheet=sheet)
+
+
+def led(rest, left, right, lead, kinds, term, share, **made: Any):
+    """A body at ``rest`` (N, 3) of laws ``kinds``, and ``term`` at a ``share`` of its typical size unless either is None, whose nodes
+    ``left`` are held and ``right`` led by ``lead`` (T, r, 3)."""
+    extra = [] if share is None or term is None else [term()]
     system = System(
         positions=rest,
         velocities=np.random.default_rng(0).normal(size=rest.shape) * 0.01,
-        masses=sheet.masses(0.2, len(rest)),
         springs=np.zeros((0, 2), int),
         stiffness=np.zeros(0),
-        controllers=np.concatenate([np.repeat(rest[None, left], 11, 0), rest[right] + lead], 1),
+        controllers=np.concatenate([np.repeat(rest[None, left], len(lead), 0), rest[right] + lead], 1),
         grips=np.concatenate([left, right]),
         terms=[*kinds, *extra],
-        sheet=sheet,
+        **made,
     )
-    if share is None:
-        return system
-    return system.with_values(**{name: share * value for name, value in term.stands_for().typical.items()})
+    return system.with_values(**{name: share * value for name, value in term.stands_for().typical.items()}) if extra else system
 
 
 def run(term, *args, **options):

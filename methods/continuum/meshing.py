@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .outline import Domain, areas, even
+from .outline import BAY, Domain, areas, even, radii, sides
 
 __all__ = ["Strip", "located", "meshed", "smoothed"]
 
-WIDE = 1.3  # of the nodes' distance: radius of the largest circle around a triangle; larger ones are bays of the outline
 THIN = 0.05  # least height over the longest side
 NEAREST = 0.6  # of the nodes' distance: no node of a row, of the outline or of a first guess is nearer to one before it
 OUTSIDE = 0.4  # likewise: a place of a row that is not farther outside than that goes to the outline
@@ -93,9 +92,7 @@ def meshed(flat, count: int, strips: Sequence[Strip] = ()) -> tuple[np.ndarray, 
         nodes = np.concatenate([fixed, middle[len(fixed) :]])
     triangles = Delaunay(nodes).simplices
     corners = nodes[triangles]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    area = areas(corners)
-    fat = (sides.prod(1) / np.maximum(4 * area, 1e-15) < WIDE * pitch) & (2 * area > THIN * sides.max(1) ** 2)
+    fat = (radii(corners) < BAY * pitch) & (2 * areas(corners) > THIN * sides(corners).max(1) ** 2)
     triangles = triangles[fat & domain.holds(corners.mean(1))]
     used = np.unique(triangles)
     if not len(used):
@@ -127,9 +124,9 @@ def located(flat, nodes, triangles) -> tuple[np.ndarray, np.ndarray]:
     chosen /= chosen.sum(1, keepdims=True)
     own = near[np.arange(len(flat)), best]
     patch, bends = _bends(nodes, triangles)
-    sides = nodes[triangles[own]][:, [1, 2, 0]] - nodes[triangles[own]]
+    ways = nodes[triangles[own]][:, [1, 2, 0]] - nodes[triangles[own]]
     both = chosen * chosen[:, [1, 2, 0]]
-    squares = np.stack([sides[..., 0] ** 2, sides[..., 1] ** 2, 2 * sides[..., 0] * sides[..., 1]], 2)
+    squares = np.stack([ways[..., 0] ** 2, ways[..., 1] ** 2, 2 * ways[..., 0] * ways[..., 1]], 2)
     bulge = -np.einsum("ms,msc,mck->mk", both, squares, bends[own]) / 2
     return np.concatenate([triangles[own], patch[own]], 1), np.concatenate([chosen, bulge], 1)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-__all__ = ["Domain", "areas", "even", "squared"]
+__all__ = ["BAY", "Domain", "areas", "even", "radii", "sides", "squared"]
 
 BAY = 1.3  # of the nodes' distance: radius of the largest circle around a triangle of the area; larger ones are bays of the outline
 CORNER = np.radians(50)  # by which an outline turns within two nodes' distances at a corner
@@ -28,18 +29,15 @@ class Domain:
 
         delaunay = Delaunay(points)
         corners = points[delaunay.simplices]
-        area = areas(corners)
-        pitch = np.sqrt(2 / np.sqrt(3) * area.sum() / count)
-        sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-        widest = max(BAY * pitch, 3 * float(np.median(sides)))
-        return cls(points, delaunay, sides.prod(1) / np.maximum(4 * area, 1e-15) < widest)
+        pitch = np.sqrt(2 / np.sqrt(3) * areas(corners).sum() / count)
+        widest = max(BAY * pitch, 3 * float(np.median(sides(corners))))
+        return cls(points, delaunay, radii(corners) < widest)
 
     def pitch(self, count: int) -> float:
         """m, between neighbours of ``count`` nodes of equilateral triangles: N = 2 A / (sqrt(3) p^2) + P / (2 p) + 1 of an area A whose
         outline is P long."""
         a = 2 / np.sqrt(3) * areas(self.points[self.delaunay.simplices[self.inside]]).sum()
-        loops = self._loops()
-        p = sum(np.linalg.norm(o - np.roll(o, 1, axis=0), axis=1).sum() for o in loops) / 2
+        p = sum(np.linalg.norm(o - np.roll(o, 1, axis=0), axis=1).sum() for o in self._loops) / 2
         more = max(count, 4) - 1
         return float(2 * a / (np.sqrt(p * p + 4 * a * more) - p))
 
@@ -65,8 +63,9 @@ class Domain:
 
     def outline(self, step: float) -> list[np.ndarray]:
         """Its loops, each (m, 2) places as far apart along it, about ``step``."""
-        return [_divided(np.concatenate([loop, loop[:1]]), step) for loop in self._loops()]
+        return [_divided(np.concatenate([loop, loop[:1]]), step) for loop in self._loops]
 
+    @cached_property
     def _loops(self) -> list[np.ndarray]:
         triangles = self.delaunay.simplices[self.inside]
         a, b, c = np.swapaxes(self.points[triangles], 0, 1)
@@ -95,6 +94,16 @@ def areas(corners) -> np.ndarray:
     """(F,) m^2 of triangles (F, 3, 2)."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     return np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+
+
+def sides(corners) -> np.ndarray:
+    """(F, 3) m, of the same."""
+    return np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+
+
+def radii(corners) -> np.ndarray:
+    """(F,) m, of the circles around them."""
+    return sides(corners).prod(1) / np.maximum(4 * areas(corners), 1e-15)
 
 
 def even(loop, pitch: float) -> np.ndarray:
@@ -132,8 +141,8 @@ def squared(points) -> np.ndarray:
         hull = points[ConvexHull(points).vertices]
     except QhullError:
         return points
-    sides = np.roll(hull, -1, axis=0) - hull
-    ways = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    ways = np.roll(hull, -1, axis=0) - hull
+    ways = ways / np.linalg.norm(ways, axis=1, keepdims=True)
     across = np.stack([-ways[:, 1], ways[:, 0]], 1)
     extent = np.stack([np.ptp(hull @ w.T, axis=0) for w in (ways, across)])
     least = int(extent.prod(0).argmin())
