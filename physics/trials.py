@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -150,7 +151,6 @@ def cloth(term, share, table=True):
 def led(rest, left, right, lead, kinds, term, share, **made: Any):
     """A body at ``rest`` (N, 3) of laws ``kinds``, and ``term`` at a ``share`` of its typical size unless either is None, whose nodes
     ``left`` are held and ``right`` led by ``lead`` (T, r, 3)."""
-    extra = [] if share is None or term is None else [term()]
     system = System(
         positions=rest,
         velocities=np.random.default_rng(0).normal(size=rest.shape) * 0.01,
@@ -158,10 +158,13 @@ def led(rest, left, right, lead, kinds, term, share, **made: Any):
         stiffness=np.zeros(0),
         controllers=np.concatenate([np.repeat(rest[None, left], len(lead), 0), rest[right] + lead], 1),
         grips=np.concatenate([left, right]),
-        terms=[*kinds, *extra],
+        terms=kinds,
         **made,
     )
-    return system.with_values(**{name: share * value for name, value in term.stands_for().typical.items()}) if extra else system
+    if share is None or term is None:
+        return system
+    told = {name: share * value for name, value in term.stands_for().typical.items()}
+    return replace(system, terms=[*kinds, term(told)])
 
 
 def run(term, *args, **options):
