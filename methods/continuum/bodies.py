@@ -41,6 +41,7 @@ class Body(ABC):
     recordings: int = 3  # that are fitted jointly, at most, unless a config says
     seconds: float = np.inf  # of each
     iterations: int = 8  # of the search, at most
+    horizons: tuple[float, ...] = ()  # shares of a motion by which starts are led before all of it is searched
     coarse: float = 1.5  # times as large as usual, the cells of the search
     stride: float = 0.5  # of the longest step that is stable near rest, its steps
     bears: bool = False  # whether its own stiffness alone holds what pulls at it: ``laden`` is then another body

@@ -19,7 +19,7 @@ from .result import Fit, concluded
 from .robust import StudentT
 from .unknowns import Unknown, spread
 
-__all__ = ["AllDiverged", "Fit", "Problem", "State", "Steps", "StudentT", "Unknown", "accept", "fit", "gain", "propose"]
+__all__ = ["AllDiverged", "Fit", "Problem", "State", "Steps", "StudentT", "Unknown", "accept", "fit", "gain", "narrowed", "propose"]
 
 Simulate = Callable[[np.ndarray], np.ndarray]
 
@@ -41,7 +41,7 @@ class Steps:
     central     central differences instead of forward ones: twice the runs
     secants     updates of a Jacobian by Broyden's rule (1965) before it is taken anew; with eight unknowns one saves a fifth of the runs,
                 more save nothing (20 noisy sums of four decaying waves: 64, 51, 58 and 63 runs with none to three)
-    halving     from this iteration on, the worse half of the starts is dropped in each
+    halving     from this iteration on, the worse half of the starts is dropped in each, until ``kept`` are left
     tolerance   a start has arrived where a step gains less [nats]: half a one is a standard deviation of the posterior, 0.01 a seventh
     """
 
@@ -50,14 +50,16 @@ class Steps:
     central: bool = False
     secants: int = 1
     halving: int = 2
+    kept: int = 1
     tolerance: float = 0.01
 
     def __post_init__(self):
-        if self.iterations < 0 or self.secants < 0 or self.halving < 1 or not self.factors or min(self.factors) <= 0:
-            raise ValueError(f"iterations and secants must be >= 0, halving >= 1, factors > 0, got {self}")
+        if self.iterations < 0 or self.secants < 0 or self.halving < 1 or self.kept < 1 or not self.factors or min(self.factors) <= 0:
+            raise ValueError(f"iterations and secants must be >= 0, halving and kept >= 1, factors > 0, got {self}")
 
 
 MOST_DAMPED = 1e6  # a start that gains nothing at this damping has arrived
+SAME = 0.3  # standard deviations of the prior: starts nearer to each other than that will end in one place
 LONGEST = 0.25  # of its range that an unknown goes in a step: linearity does not reach further, whatever the Jacobian says
 
 
@@ -133,10 +135,38 @@ def fit(
 
     Raises AllDiverged where no start has a run that did not diverge, ValueError for data and options that fit nothing.
     """
-    steps, names = steps or Steps(), [u.name for u in unknowns]
     problem, seen = posed(unknowns, data, noise, loss or StudentT(), independent)
-    run, notes, costs = Runner(problem, seen, simulate, jacobian), [], []
-    scaled = _starts(problem.unknowns, starts, seed)
+    run, notes = Runner(problem, seen, simulate, jacobian), []
+    states, costs = _searched(run, _starts(problem.unknowns, starts, seed), steps or Steps(), notes, progress)
+    best = states[0]
+    if best.jacobian is None or best.age:  # the covariance is that of where the fit ended
+        best = _alive(problem, run.differentiate([best], (steps or Steps()).central), "all its differences", notes)[0]
+    return concluded(problem, best, costs=[*costs, best.cost], runs=run.runs, batches=run.batches, notes=notes, seen=seen)
+
+
+def narrowed(
+    unknowns: Sequence[Unknown], simulate: Simulate, data, noise, *, starts: np.ndarray, steps: Steps, independent: float | None = None
+) -> np.ndarray:
+    """(K', n) values where a search from ``starts`` (K, n) goes, the likeliest first; arguments and errors as of ``fit``.
+
+    Of such as are within ``SAME`` of each other in each unknown, in prior standard deviations, the likeliest alone is kept.
+    """
+    problem, seen = posed(unknowns, data, noise, StudentT(), independent)
+    states, _ = _searched(Runner(problem, seen, simulate), _starts(problem.unknowns, starts, 0), steps, [], None)
+    low, high = problem.bounds
+    precision = problem.prior[1]
+    unit = np.where(precision > 0, np.maximum(precision, 1e-300) ** -0.5, (high - low) / 4)
+    found: list[np.ndarray] = []
+    for state in states:
+        if all(np.abs((state.scaled - other) / unit).max() > SAME for other in found):
+            found.append(state.scaled)
+    return problem.values(found)
+
+
+def _searched(run: Runner, scaled, steps: Steps, notes: list[str], progress) -> tuple[list[State], list[float]]:
+    """(states where a search from ``scaled`` (K, n) goes, the best first; the least cost before each iteration)."""
+    problem, costs = run.problem, []
+    names = [u.name for u in problem.unknowns]
     states = [problem.place(u, p) for u, p in zip(scaled, run(scaled), strict=True)]
     states = _alive(problem, states, "its run", notes)
     for iteration in range(steps.iterations):
@@ -144,17 +174,14 @@ def fit(
         costs.append(min(s.cost for s in states))
         states = _advanced(problem, run, states, steps)
         if iteration + 1 >= steps.halving:
-            states = states[: (len(states) + 1) // 2]
+            states = states[: max(steps.kept, (len(states) + 1) // 2)]
         if progress:
             progress(iteration, states[0].cost, dict(zip(names, problem.values([states[0].scaled])[0].tolist(), strict=True)))
         if all(s.arrived for s in states):
             break
     else:
         notes += ["stopped after the last iteration, not yet arrived"] * bool(steps.iterations)
-    best = states[0]
-    if best.jacobian is None or best.age:  # the covariance is that of where the fit ended
-        best = _alive(problem, run.differentiate([best], steps.central), "all its differences", notes)[0]
-    return concluded(problem, best, costs=[*costs, best.cost], runs=run.runs, batches=run.batches, notes=notes, seen=seen)
+    return states, costs
 
 
 def _differentiated(run: Runner, states: Sequence[State], steps: Steps) -> list[State]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twinbench.methods.continuum.fitting import AllDiverged, Steps, fit
+from twinbench.methods.continuum.fitting import AllDiverged, Steps, fit, narrowed
 from twinbench.methods.continuum.predictability import absorbed, predictability, smoothed
 from twinbench.methods.continuum.robust import StudentT
 from twinbench.methods.continuum.unknowns import Unknown, members, spread
@@ -329,3 +329,19 @@ def test_too_few_members_are_refused():
         predictability(kept, np.zeros(4), np.zeros((4, 1)), np.ones(4), block=np.zeros(4), time=np.zeros(4), width=0)
     with pytest.raises(ValueError, match="must share R"):
         predictability(np.zeros((5, 4)), np.zeros(3), np.zeros((4, 1)), np.ones(4), block=np.zeros(4), time=np.zeros(4), width=0)
+
+
+def test_starts_are_led_over_a_part_of_the_data_and_such_as_meet_are_kept_once():
+    # cos(w t) over a long time has a valley in w at every beat; over a short one (w t < pi) it has one, at the true w
+    time = np.linspace(0, 20, 200)
+    unknown = (Unknown("w", 3.0, 0.5, 6.0, "1/s", prior=(3.0, 2.0)),)
+    data, starts = np.cos(2.0 * time), np.array([[0.8], [1.2], [2.9], [3.4]])
+
+    def until(count):
+        return lambda values: np.cos(values * time[None, :count])
+
+    astray = fit(unknown, until(200), data, np.full(200, 0.1), starts=starts[2:], steps=Steps(iterations=20)).values["w"]
+    assert abs(astray - 2.0) > 0.1
+    led = narrowed(unknown, until(15), data[:15], np.full(15, 0.1), starts=starts, steps=Steps(iterations=6, halving=1, kept=3))
+    assert len(led) == 1 and np.allclose(led, 2.0, atol=0.02)  # the valley of all 20 s is 0.15 wide on either side
+    assert np.isclose(fit(unknown, until(200), data, np.full(200, 0.1), starts=led).values["w"], 2.0, atol=1e-4)

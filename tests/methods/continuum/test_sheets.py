@@ -1,6 +1,7 @@
 """Sheets from points: laid out flat whether they lie, hang or are folded, meshed, simulated, fitted and kept."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane
 from twinbench.methods.continuum.bodies import class_of
 from twinbench.methods.continuum.config import Config
-from twinbench.methods.continuum.estimate import estimate
+from twinbench.methods.continuum.estimate import estimate, horizon
 from twinbench.methods.continuum.flattening import flattened, neighbours, quantile
 from twinbench.methods.continuum.meshing import Strip, located, meshed, smoothed
 from twinbench.methods.continuum.outline import areas, squared
@@ -281,3 +282,15 @@ def test_a_start_in_motion():
     body = Cloth.drawn(waved(), waved().points, 70)
     speeds = np.tile([0.3, -0.2, 0.1], (len(body.structure), 1))
     np.testing.assert_allclose(body.moving(speeds), np.tile([0.3, -0.2, 0.1], (len(body.nodes), 1)), atol=1e-4)
+
+
+def test_a_motion_is_shared_out_by_the_way_of_its_hands():
+    # at rest for 20 frames, then 5 mm a frame: half of the way, and a little more, is gone 21 frames after that, of 40
+    path = np.concatenate([np.zeros(20), np.cumsum(np.full(40, 0.005))])
+    hands = np.stack([path, np.zeros(60), np.zeros(60)], 1)[:, None]
+    recording = SimpleNamespace(controllers=hands, observed_frames=60)
+    assert [horizon(recording, share) for share in (0.26, 0.51, 1.0)] == [31, 41, 60]
+    still = SimpleNamespace(controllers=np.zeros((60, 1, 3)), observed_frames=60)
+    assert horizon(still, 0.5) in (30, 31, 32)  # of hands that stay where they are the time tells it
+    none = SimpleNamespace(controllers=np.zeros((60, 0, 3)), observed_frames=60)
+    assert horizon(none, 0.5) == horizon(still, 0.5)
