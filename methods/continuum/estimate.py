@@ -129,7 +129,7 @@ def estimate(
         starts = np.array([[begin.get(u.name, u.value) for u in task.unknowns]])
     else:
         starts = _timed(kind.starts(bodies, recordings, task.unknowns, config), task.unknowns)
-        starts = _approached(coarse, recordings, starts, config.starts, kind.horizons)
+        starts = _approached(coarse, recordings, starts, config, kind.horizons)
     coarse = coarse.within(starts, config.dearest)
     most = kind.iterations if config.iterations is None else config.iterations
     search = Steps(iterations=most, tolerance=ARRIVED) if kind.horizons else Steps(iterations=most)
@@ -301,15 +301,16 @@ def horizon(recording: Observed, share: float) -> int:
     return max(SHORTEST, int(np.searchsorted(way, share * way[-1])) + 2)
 
 
-def _approached(task: Task, recordings, starts, count: int, horizons: Sequence[float]) -> np.ndarray:
-    """(k, n) from where all of the motion is searched: the ``count`` likeliest of ``starts`` (K, n), or half as many that were led over
-    the ``horizons``, growing shares of it.
+def _approached(task: Task, recordings, starts, config: Config, horizons: Sequence[float]) -> np.ndarray:
+    """(k, n) from where all of the motion is searched: the likeliest of ``starts`` (K, n), ``config.starts`` of them, or half as many
+    that were led over the ``horizons``, growing shares of it.
 
     Early motion tells numbers before a body can go another way than they would have it; past that no descent leads back.
     """
     for k, share in enumerate(horizons):
-        shorter, kept = task.until(recordings, share).within(starts, np.inf), count * 2 ** (len(horizons) - 1 - k)
+        shorter, kept = task.until(recordings, share), config.starts * 2 ** (len(horizons) - 1 - k)
         starts = _scouted(shorter, starts, kept)
+        shorter = shorter.within(starts, config.dearest)
         starts = narrowed(
             task.unknowns,
             shorter.simulate,
@@ -319,7 +320,7 @@ def _approached(task: Task, recordings, starts, count: int, horizons: Sequence[f
             steps=Steps(iterations=LED, halving=1, kept=kept),
             independent=shorter.independent,
         )
-    return _scouted(task, starts, (count + 1) // 2 if horizons else count)
+    return _scouted(task, starts, (config.starts + 1) // 2 if horizons else config.starts)
 
 
 def _scouted(task: Task, starts, count: int):
