@@ -37,8 +37,9 @@ class Scale:
     def of(cls, signature: Signature, run: Callable[[np.ndarray], np.ndarray], reference, motion: float) -> Scale:
         """Measured by runs of the reference twin with the effect: ``run`` amounts (K, m) -> (K, B) m; ``motion`` mm are a deviation."""
         amounts, wide = signature.candidate.effect.amounts, signature.unit * signature.spread
+        linear = cls(wide, None, np.array([a.low for a in amounts]) / wide, np.array([a.high for a in amounts]) / wide)
         if len(amounts) > 1:
-            return cls(wide, None, np.array([a.low for a in amounts]) / wide, np.array([a.high for a in amounts]) / wide)
+            return linear
         numbers, sizes = [0.0], [0.0]
         amount = next(iter(amounts))
         for end in (amount.low, amount.high):
@@ -53,7 +54,7 @@ class Scale:
                 numbers.append(np.sign(end) * far)
                 sizes.append(size)
         if len(numbers) == 1:  # no size of it ends: its linear motion is all that is known
-            return cls(wide, None, np.array([amount.low]) / wide, np.array([amount.high]) / wide)
+            return linear
         order = np.argsort(numbers)
         numbers, sizes = np.array(numbers)[order], np.array(sizes)[order]
         return cls(wide, (numbers, sizes), numbers[:1], numbers[-1:])

@@ -134,10 +134,7 @@ def estimate(
     most = kind.iterations if config.iterations is None else config.iterations
     search = Steps(iterations=most, tolerance=ARRIVED) if kind.horizons else Steps(iterations=most)
     found = fit(
-        task.unknowns,
-        coarse.simulate,
-        task.data,
-        coarse.rough,
+        *coarse.asked,
         starts=starts,
         steps=search,
         progress=told("search", 0.0, 0.5, search.iterations),
@@ -192,6 +189,11 @@ class Task:
     def rough(self) -> np.ndarray:
         """(R,) m, by which data are off before it is known what can be predicted."""
         return np.hypot(self.noise, min(s.rough for s in self.sights))
+
+    @property
+    def asked(self) -> tuple[tuple[Unknown, ...], Callable[[np.ndarray], np.ndarray], np.ndarray, np.ndarray]:
+        """What a search is asked before it is known what can be predicted: unknowns, what simulates them, data and their noise."""
+        return self.unknowns, self.simulate, self.data, self.rough
 
     def coarser(self, recordings, times: float) -> Task:
         """The same in cells ``times`` as large."""
@@ -311,15 +313,7 @@ def _approached(task: Task, recordings, starts, config: Config, horizons: Sequen
         shorter, kept = task.until(recordings, share), config.starts * 2 ** (len(horizons) - 1 - k)
         starts = _scouted(shorter, starts, kept)
         shorter = shorter.within(starts, config.dearest)
-        starts = narrowed(
-            task.unknowns,
-            shorter.simulate,
-            shorter.data,
-            shorter.rough,
-            starts=starts,
-            steps=Steps(iterations=LED, halving=1, kept=kept),
-            independent=shorter.independent,
-        )
+        starts = narrowed(*shorter.asked, starts=starts, steps=Steps(iterations=LED, kept=kept), independent=shorter.independent)
     return _scouted(task, starts, (config.starts + 1) // 2 if horizons else config.starts)
 
 

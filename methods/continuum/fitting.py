@@ -135,12 +135,13 @@ def fit(
 
     Raises AllDiverged where no start has a run that did not diverge, ValueError for data and options that fit nothing.
     """
+    steps = steps or Steps()
     problem, seen = posed(unknowns, data, noise, loss or StudentT(), independent)
     run, notes = Runner(problem, seen, simulate, jacobian), []
-    states, costs = _searched(run, _starts(problem.unknowns, starts, seed), steps or Steps(), notes, progress)
+    states, costs = _searched(run, _starts(problem.unknowns, starts, seed), steps, notes, progress)
     best = states[0]
     if best.jacobian is None or best.age:  # the covariance is that of where the fit ended
-        best = _alive(problem, run.differentiate([best], (steps or Steps()).central), "all its differences", notes)[0]
+        best = _alive(problem, run.differentiate([best], steps.central), "all its differences", notes)[0]
     return concluded(problem, best, costs=[*costs, best.cost], runs=run.runs, batches=run.batches, notes=notes, seen=seen)
 
 
@@ -153,12 +154,10 @@ def narrowed(
     """
     problem, seen = posed(unknowns, data, noise, StudentT(), independent)
     states, _ = _searched(Runner(problem, seen, simulate), _starts(problem.unknowns, starts, 0), steps, [], None)
-    low, high = problem.bounds
-    precision = problem.prior[1]
-    unit = np.where(precision > 0, np.maximum(precision, 1e-300) ** -0.5, (high - low) / 4)
+    deviations = np.array([u.sd for u in problem.unknowns])
     found: list[np.ndarray] = []
     for state in states:
-        if all(np.abs((state.scaled - other) / unit).max() > SAME for other in found):
+        if all(np.abs((state.scaled - other) / deviations).max() > SAME for other in found):
             found.append(state.scaled)
     return problem.values(found)
 
