@@ -94,6 +94,11 @@ class Effect:
         return self.term.stage if self.term else ""
 
     @property
+    def is_usual(self) -> bool:
+        """Whether some of it is usually there."""
+        return any(amount.usual for amount in self.amounts)
+
+    @property
     def forms(self) -> tuple[str, ...]:
         """Names of the shapes that are fitted from where they are tried: those of any order of magnitude, as times and lengths are; not how
         far around its place it reaches, which is as far as the next place."""

@@ -119,9 +119,13 @@ class Blocks:
         return Layout(np.full(3 * len(self.cells), record), each[0], each[1], three, each[2])
 
     def means(self, paths) -> np.ndarray:
-        """(K, B) m, of paths (K, T, M, 3) whose first N points are the tracks; all NaN of one that is not finite somewhere."""
+        """(K, B) m, of paths (K, T, M, 3) whose first N points are the tracks; all NaN of one that is not finite somewhere.
+
+        Of paths that end earlier, what comes after means nothing.
+        """
         count = self.points.shape[1]
-        found = [(self.weights @ np.nan_to_num(p[:, :count]).reshape(-1, 3)).ravel() for p in paths]
+        weights = self.weights[:, : paths.shape[1] * count]
+        found = [(weights @ np.nan_to_num(p[:, :count]).reshape(-1, 3)).ravel() for p in paths]
         good = np.isfinite(paths[:, :, :count]).all((1, 2, 3))
         return np.where(good[:, None], np.array(found), np.nan)
 

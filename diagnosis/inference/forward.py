@@ -53,6 +53,7 @@ class Forward:
     seen        faults of the measurement, each (scene, values) -> the scene as it was
     contrast    how far recordings differ is asked, not what they are; or None
     spread      (n,) of the unknowns' own prior standard deviations, those of a single recording around where the fit ended
+    after       (B,) m that stand for what is not fitted, so that runs end with the fitted frames; or None: all frames are run
     """
 
     unknowns: tuple[Unknown, ...]
@@ -67,6 +68,7 @@ class Forward:
     seen: tuple[Callable[[Scene, Mapping[str, float]], Scene], ...] = ()
     contrast: Contrast | None = None
     spread: np.ndarray | float = 1.0
+    after: np.ndarray | None = None
     cost: Cost = field(default_factory=Cost)
 
     @classmethod
@@ -166,12 +168,14 @@ class Forward:
         return {u.name: u.decode(s) for u, s in zip(self.unknowns, self.scaled + shift * self.sds, strict=True)}
 
     def paths(self, rows: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
-        """For each recording (K, T, M, 3) m, of dicts of values beside the twin's own; NaN from where one diverged."""
+        """For each recording (K, T, M, 3) m, of dicts of values beside the twin's own; NaN from where one diverged. T: all frames, or those
+        that were fitted where what comes ``after`` is told."""
         begun, found = time.process_time(), []
         for r, (runner, blocks) in enumerate(zip(self.simulators, self.blocks, strict=True)):
             hushed = self.acting if r in self.sound else ()
             values = [{name: v for name, v in row.items() if name not in hushed} for row in rows]
-            found.append(self._ran(runner, [own_values({**self.told, **row}, r) for row in values], len(blocks.points)))
+            frames = len(blocks.points) if self.after is None else self.recordings[r].split.train_end
+            found.append(self._ran(runner, [own_values({**self.told, **row}, r) for row in values], frames))
         self.cost.runs += len(rows) * len(self.simulators)
         self.cost.seconds += time.process_time() - begun
         return found
@@ -205,7 +209,10 @@ class Forward:
 
     def rows(self, rows: Sequence[Mapping[str, float]]) -> np.ndarray:
         """(K, B) m, block means; all NaN of a run that diverged."""
-        return self.mixed(np.concatenate([b.means(p) for b, p in zip(self.blocks, self.paths(rows), strict=True)], 1))
+        found = self.mixed(np.concatenate([b.means(p) for b, p in zip(self.blocks, self.paths(rows), strict=True)], 1))
+        if self.after is None:
+            return found
+        return np.where(self.layout.fitted | ~np.isfinite(found), found, self.after)
 
     def at(self, shifts, more: Mapping[str, float] | None = None) -> np.ndarray:
         """(K, B) m, at ``shifts`` (K, n), with ``more`` values."""
@@ -218,6 +225,13 @@ class Forward:
         signs = np.where(steps <= high, 1.0, -1.0)
         shifts = np.diag(np.clip(signs * steps, low, high))
         return np.nan_to_num((self.at(shifts) - reference).T / np.diag(shifts))
+
+    def fitted_alone(self, reference) -> Forward:
+        """The same twins, run through the fitted frames alone: what comes after is said to be as in ``reference`` (B,) m.
+
+        Themselves where there is nothing else, and where recordings are compared, whose frames are mixed.
+        """
+        return self if self.contrast is not None or self.layout.fitted.all() else replace(self, after=np.asarray(reference))
 
     @property
     def asked(self) -> list[int]:

@@ -4,7 +4,7 @@ twins."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,8 +84,22 @@ def refitted(
     arrived where fresh slopes lead nowhere. Shapes stay as they were tried until all else has arrived: what they lead to is better than
     without. A place has a prior of ``config.astray`` around the one that was tried, the logarithm of a shape one
     of ``config.reshaped``, amounts one by the motion that they make (``amounts``). What would take more than ``config.dearest`` times the
-    steps is not run.
+    steps is not run. Runs end with the fitted frames, but one where the refit arrived; where that diverges, all frames are run all along.
     """
+    given = (data, reference, slopes, likelihood, rows, signature, config, sound)
+    alone = forward.fitted_alone(reference)
+    found = _searched(alone, *given)
+    if alone is forward:
+        return found
+    twins, more = (
+        (forward, {}) if found.candidate is None else (forward.with_effects([found.candidate]), found.candidate.values(found.amounts))
+    )
+    whole = twins.rows([{**forward.values(found.shift), **more}])[0]
+    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, *given)
+
+
+def _searched(forward, data, reference, slopes, likelihood, rows, signature, config, sound) -> Refit:
+    """As ``refitted``, all runs by ``forward``."""
     count, amounts = slopes.shape[1], len(signature.unit) if signature else 0
     spots, forms = (len(signature.candidate.coordinates), len(signature.candidate.effect.forms)) if signature else (0, 0)
     twins = forward.with_effects([signature.candidate]) if signature else forward
@@ -104,7 +118,9 @@ def refitted(
 
     if signature is not None:
         tried = signature.candidate
-        scale = Scale.of(signature, lambda a: simulated(np.zeros((len(a), count)), map(tried.values, a)), reference, config.motion)
+        scale = Scale.of(
+            signature, lambda a: simulated(np.zeros((len(a), count)), map(tried.values, a))[:, rows], reference[rows], config.motion
+        )
         astray = np.full(spots + forms, FARTHEST)
         low, high = np.r_[low, scale.low, -astray], np.r_[high, scale.high, astray]
         own = signature.columns / signature.unit * scale.slope(np.zeros(amounts))

@@ -27,7 +27,8 @@ SMALLEST = 1e-3  # mm: what moves fitted frames less at its largest amount is no
 
 @dataclass(frozen=True, eq=False)
 class Signature:
-    """``columns`` (B, m) m: what each amount of a candidate does, as much as moves block means by 1 mm RMS; ``unit`` (m,) is that amount.
+    """``columns`` (B, m) m: what each amount of a candidate does, as much as moves fitted block means by 1 mm RMS; ``unit`` (m,) is that
+    amount. Of what is not fitted, columns of effects that are usually there alone say something (``usual_errors``); others are 0 there.
 
     spread (m,)  prior standard deviations of amounts, in units
     """
@@ -65,8 +66,8 @@ def signatures(
 ) -> list[Signature]:
     """What each candidate that shows in the recordings does, beside the reference's ``paths``, R of (T, M, 3) m, and block means (B,) m.
 
-    By differences from the reference, each measured at some ``config.probe`` mm of motion: a first run tells how large that is. Places on
-    the body are those of frame 0 of the first recording that is asked, and where they are in others follows from how the body lies there;
+    By differences from the reference, each measured at some ``config.probe`` mm of motion of what is fitted: a first run tells how large
+    that is. Runs end with the fitted frames, but of what is usually there. Places on the body are those of frame 0 of the first recording that is asked, and where they are in others follows from how the body lies there;
     where that leaves a choice (``Body.ways``), it is made by ``residual`` (B,) m, of deviations ``sd`` (B,): see ``_turned``.
     Where effects are known to be ``missing``, by name with their place (3,) m or None, no others are asked, and nowhere else.
     """
@@ -81,10 +82,12 @@ def signatures(
     where = {e.name: told.get(e.name, passed if e.roaming else places) for e in asked}
     groups: dict[str, list] = {}
     for effect in asked:
-        groups.setdefault("" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
+        groups.setdefault("usual" if effect.is_usual else "" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
 
     def measured(group, forward: Forward):
         plan = [(c, j) for e in group for c in e.candidates(where[e.name], laid) for j in range(len(e.amounts))]
+        if not any(e.is_usual for e in group):
+            forward = forward.fitted_alone(reference)
         extended = forward.with_effects(c for c, _ in plan)
         columns = _measured(extended, reference, plan, config)
         if residual is None:
@@ -97,7 +100,7 @@ def signatures(
             own = [k for k, (c, _) in enumerate(plan) if id(c) == candidate]
             moved = [k for k in own if np.isfinite(columns[k]).all() and motion_of(columns[k][fitted]) * abs(_most(plan[k])) > SMALLEST]
             if moved:
-                found.append(_scaled(_of_amounts(plan[own[0]][0], [plan[k][1] for k in moved]), columns[moved], config))
+                found.append(_scaled(_of_amounts(plan[own[0]][0], [plan[k][1] for k in moved]), columns[moved], fitted, config))
     return found
 
 
@@ -191,7 +194,7 @@ def usual_errors(catalogue: Sequence[Signature], record) -> np.ndarray:
 
 
 def _measured(forward, reference, plan, config):
-    """(P, B) m, derivatives by amounts.
+    """(P, B) m, derivatives by amounts, those of one that diverges NaN.
 
     The first candidate of every amount says about how much of it makes ``config.probe`` mm of motion, also elsewhere and of other shapes.
     """
@@ -206,12 +209,13 @@ def _measured(forward, reference, plan, config):
             runs[which] = forward.rows([_row(forward, plan[k][0], plan[k][1], sizes[k]) for k in which])
 
     run(list(firsts.values()))
-    known = {kind: _factor(runs[k] - reference, config) for kind, k in firsts.items()}
+    fitted = forward.layout.fitted
+    known = {kind: _factor((runs[k] - reference)[fitted], config) for kind, k in firsts.items()}
     factors = np.array([known[kind] for kind in kinds])
     sizes = np.clip(sizes * factors, low, high)
     first = np.isin(np.arange(len(plan)), list(firsts.values()))
     run(np.flatnonzero(~first | (factors != 1.0)))
-    factors = np.array([1.0 if first[k] else _factor(r - reference, config) for k, r in enumerate(runs)])
+    factors = np.array([1.0 if first[k] else _factor((r - reference)[fitted], config) for k, r in enumerate(runs)])
     sizes = np.clip(sizes * factors, low, high)
     run(np.flatnonzero(factors != 1.0))
     return (runs - reference) / sizes[:, None]
@@ -230,8 +234,8 @@ def motion_of(values) -> float:
     return 1e3 * float(np.sqrt(3 * np.mean(np.square(values))))
 
 
-def _scaled(candidate, slopes, config) -> Signature:
-    unit = np.array([1 / motion_of(s) for s in slopes])
+def _scaled(candidate, slopes, fitted, config) -> Signature:
+    unit = np.array([1 / motion_of(s[fitted]) for s in slopes])
     return Signature(candidate, (slopes * unit[:, None]).T, unit, np.full(len(unit), config.motion))
 
 

@@ -49,9 +49,11 @@ def settled(twin: ContinuumTwin, recordings: Sequence[Scenario], config: Diagnos
     noise = np.hypot(np.sqrt(np.diag(forward.noise(paths)[0])), 1e-3 * config.floor)
     names, most = [u.name for u in forward.unknowns], config.dearest * forward.steps({})
 
+    alone = forward.fitted_alone(reference)
+
     def simulate(values) -> np.ndarray:
         rows = [dict(zip(names, map(float, row), strict=True)) for row in values]
-        return run_within(rows, forward.rows, forward.steps, most, len(reference))
+        return run_within(rows, alone.rows, forward.steps, most, len(reference))
 
     begin = forward.values(np.zeros(len(names)))
     try:

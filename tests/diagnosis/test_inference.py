@@ -296,6 +296,12 @@ class Bent:
     def with_effects(self, candidates):
         return self
 
+    def at(self, shifts, more):
+        return self.rows([{**self.values(shifts), **more}])
+
+    def fitted_alone(self, reference):
+        return self
+
     def steps(self, row):
         return 1 if row.get("push", 0.0) < self.dear else 100
 
@@ -373,6 +379,50 @@ def test_a_refit_goes_no_farther_than_steps_are_affordable():
     assert (
         5 <= twins.cost.runs - before <= 5 + 10 + 7
     )  # amounts are scaled by ten runs, and a step that has begun is ended: three trials, four slopes
+
+
+class Stopped(Bent):
+    """Of the last 30 numbers, which are not fitted, ``after`` is told where runs are stopped; in whole runs ``far`` N and more diverge."""
+
+    def __init__(self, *given, far=np.inf, after=None):
+        super().__init__(*given)
+        self.given, self.far, self.after, self.whole = given, far, after, 0
+
+    def fitted_alone(self, reference):
+        self.short = Stopped(*self.given, after=reference)
+        self.short.cost = self.cost
+        return self.short
+
+    def rows(self, rows):
+        self.whole += len(rows)
+        found = super().rows(rows)
+        if self.after is not None:
+            return np.concatenate([found[:, :-30], np.tile(self.after[-30:], (len(rows), 1))], 1)
+        return np.where(np.array([r.get("push", 0.0) for r in rows])[:, None] >= self.far, np.nan, found)
+
+
+def test_a_refit_runs_through_what_is_not_fitted_once():
+    # what is not fitted tells nothing: the same numbers with and without it; the prediction there is that of a whole run all the same
+    world = World(13)
+    one = world.catalogue[0]
+    scatter, _, _ = world.evidence(world.reference)
+    rows = np.arange(SIZE - 30)
+    fitting = scatter.only(rows).likelihood(PRIOR, parameters=False)
+    data = Bent(world, one.columns[:, 0]).rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=5.0)])[0]
+
+    def found(twins):
+        return refitted(twins, data, world.reference, world.slopes, fitting, rows, one, DiagnosisConfig(steps=6))
+
+    usual, twins = found(Bent(world, one.columns[:, 0])), Stopped(world, one.columns[:, 0])
+    own = found(twins)
+    assert twins.whole == 1 < twins.short.whole
+    np.testing.assert_array_equal(own.prediction[rows], usual.prediction[rows])
+    np.testing.assert_allclose(own.prediction[-30:], data[-30:], atol=1e-4)  # 0.1 mm, of 5 mm
+    assert own.amounts[0] == usual.amounts[0] == pytest.approx(5.0, rel=0.01)
+    # where it diverges later, all frames are run all along, and the refit stays where they do not
+    twins = Stopped(world, one.columns[:, 0], far=4.0)
+    stays = found(twins)
+    assert twins.whole > 1 and stays.amounts[0] < 4.0 and np.isfinite(stays.prediction).all()
 
 
 class Placed(Bent):

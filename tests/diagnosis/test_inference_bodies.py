@@ -188,7 +188,8 @@ def test_signatures_are_measured_in_mm_and_absent_effects_are_zero(twin, recordi
     paths, reference = forward.reference()
     found = signatures(forward, paths, reference, CONFIG)
     for one in found:
-        assert 1e3 * np.sqrt(3 * np.mean(one.columns**2, 0)) == pytest.approx(np.ones(one.columns.shape[1]), rel=1e-6)
+        heard = one.columns[forward.layout.fitted]
+        assert 1e3 * np.sqrt(3 * np.mean(heard**2, 0)) == pytest.approx(np.ones(one.columns.shape[1]), rel=1e-6)
     names = {one.name for one in found}
     assert {"wind", "added_mass", "grip_compliance", "viscoelastic"} <= names <= {e.name for e in effects("solid")}
     tilt = next(one for one in found if one.name == "gravity_tilt")  # along gravity it has no part: of that it is not asked
@@ -214,6 +215,23 @@ def test_recordings_are_predicted_together(twin, recording):
     np.testing.assert_allclose(first[0], first[1], atol=1e-9)
     assert np.abs(second[1] - second[0]).max() > 1e-4
     assert len(forward.data) == 2 * len(Forward.of(twin, [recording], CONFIG).data)
+
+
+def test_fitted_frames_alone_are_as_in_runs_of_all(twin, recording, monkeypatch):
+    # a run does not know that it will be stopped: fitted means are the same to the last bit, and what comes after is what was told
+    forward = Forward.of(twin, [recording, recording], CONFIG)
+    fitted, told = forward.layout.fitted, np.full(len(forward.data), 7.0)
+    alone = forward.fitted_alone(told)
+    values = [TRUE, TRUE | {"youngs_modulus": 1.3 * TRUE["youngs_modulus"]}]
+    whole, found = forward.rows(values), alone.rows(values)
+    np.testing.assert_array_equal(found[:, fitted], whole[:, fitted])
+    assert (found[:, ~fitted] == 7.0).all() and 0 < (~fitted).sum() < fitted.sum()
+    assert {p.shape[1] for p in alone.paths(values)} == {recording.split.train_end} and recording.split.train_end < FRAMES
+    short = Forward.of(twin, [recording.shortened(recording.split.train_end, recording.split.train_end)], CONFIG)
+    assert short.fitted_alone(short.data) is short  # there is nothing else
+    lost = [np.where(np.arange(2)[:, None, None, None] == 1, np.nan, p) for p in alone.paths(values)]
+    monkeypatch.setattr(Forward, "paths", lambda *_: lost)
+    assert not np.isfinite(alone.rows(values)[1]).any() and np.isfinite(alone.rows(values)[0]).all()  # what diverges says nothing at all
 
 
 def test_effects_act_in_recordings_that_are_not_known_to_be_sound(twin, recording):
@@ -259,7 +277,7 @@ def test_one_run_of_an_amount_says_how_much_of_it_shows_elsewhere():
         found = np.array([1e-3 * mm[int(v["added_mass_x"] // 3)] * v["added_mass"] / 0.1 for v in values])
         return np.where(found > 0.1, np.nan, found)[:, None] * np.full(6, 3**-0.5)
 
-    forward = SimpleNamespace(rows=rows, values=lambda shift: {}, unknowns=())
+    forward = SimpleNamespace(rows=rows, values=lambda shift: {}, unknowns=(), layout=SimpleNamespace(fitted=np.ones(6, bool)))
     slopes = scan._measured(forward, reference, plan, CONFIG)
     assert slopes == pytest.approx((1e-3 * mm / 0.1)[:, None] * np.full(6, 3**-0.5))
     assert CONFIG.probe == 1.0 and ran == [1, 6, 2]  # the fifth moves too much at what suits the first, the sixth too little
@@ -279,7 +297,7 @@ def test_the_end_of_a_rope_is_the_one_that_explains_more(monkeypatch):
     # two recordings of four numbers; what a place does in the second, laid the first way, is 1, and the other way -1, as was seen
     forward = SimpleNamespace(
         asked=[0, 1],
-        layout=SimpleNamespace(record=np.array([0, 0, 1, 1])),
+        layout=SimpleNamespace(record=np.array([0, 0, 1, 1]), fitted=np.ones(4, bool)),
         simulators=[SimpleNamespace(scene=SimpleNamespace(body=SimpleNamespace(ways=2)))] * 2,
     )
     weight = next(e for e in effects("rope") if e.name == "added_mass")
