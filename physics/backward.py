@@ -46,7 +46,7 @@ def make_backward(kit):
     )
     layered, load_layer = kit.layered, load["layer"]
     back_meet_layers, relayered = make_back_layers(kit) if layered else (ABSENT, ABSENT)
-    load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
+    load_surface, load_touch, load_grip, load_slip = (load[s] for s in ("surface", "touch", "grip", "slip"))
     back_meet, remet = make_back_outside(kit) if pointed else (ABSENT, ABSENT)
     back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or cells_easing else (ABSENT, ABSENT, ABSENT)
     back_press, grown, back_pressed = make_back_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT)
@@ -96,6 +96,7 @@ def make_backward(kit):
         p_surface = load_surface(w.table, b)
         p_touch = load_touch(w.table, b)
         p_grip = load_grip(w.table, b)
+        p_slip = load_slip(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
@@ -172,7 +173,7 @@ def make_backward(kit):
             if wp.static(pointed):
                 if k < count:
                     for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
-                        back_meet(w, a, k, q, dt, p_body, p_surface, p_touch, p_grip)
+                        back_meet(w, a, k, q, dt, p_body, p_surface, p_touch, p_grip, p_slip)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             swelled = R(0.0)

@@ -104,7 +104,8 @@ class Batch:
         self.colliding, self.hinged = bool(self.laws.stage("contact")), bool(self.laws.stage("hinge"))
         self.remembering = bool(self.laws.stage("strand"))
         self.filled, self.easing = bool(self.laws.stage("solid")), any(self.laws.stage(s) for s in EASED)
-        self.touching, self.pointed = bool(self.laws.stage("touch")), _have_points(systems, self.laws)
+        self.touching, self.slipping = bool(self.laws.stage("touch")), bool(self.laws.stage("slip"))
+        self.pointed = _have_points(systems, self.laws)
         self.layered, self.draped = bool(self.laws.stage("layer")), any(self.laws.stage(s) for s in SHEETS)
         self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
         if self.easing and self.colliding:
@@ -333,7 +334,7 @@ class Batch:
         inputs = self.prepare(inputs)
         if self.resident and frames and (self.resident.fits_back or not self._asks_back(inputs)):
             out, x, v = self.resident.march(frame, frames, inputs)
-            return (out, x, v, Carried(inputs.memory, inputs.directors, inputs.cell_memory, inputs.anchor)) if whole else (out, x, v)
+            return (out, x, v, Carried.of(inputs)) if whole else (out, x, v)
         out, x, v, *carried = March.apply(self, frame, frames, *(getattr(inputs, f.name) for f in fields(Inputs)))
         return (out, x, v, Carried(*carried)) if whole else (out, x, v)
 
@@ -416,6 +417,8 @@ class Batch:
             kept += 20 * self.node_count  # candidates, about: a flat sheet has 7 a node, a folded one 25
         if self.touching:
             kept += 3 * len(self.inputs.anchor)
+        if self.slipping:
+            kept += 3 * len(self.inputs.slid)
         if self.remembering:
             kept += len(self.constants["spring"]) * self.laws.memories
         if self.cells_remembering:
@@ -450,7 +453,7 @@ def _have_points(systems, laws):
     have = [s.points is not None for s in systems]
     if any(have) != all(have):
         raise ValueError(f"all systems of a batch must have points or none, but system {have.index(not have[0])} is unlike system 0")
-    needing = [t.name for stage in ("surface", "touch", "grip") for t, _ in laws.stage(stage)]
+    needing = [t.name for stage in ("surface", "touch", "grip", "slip") for t, _ in laws.stage(stage)]
     if needing and not have[0]:
         raise ValueError(f"a system with the term {needing[0]} must have material points")
     if have[0] and laws.stage("move"):

@@ -24,6 +24,7 @@ RIVALS = (
     "move",
     "contact",
     "touch",
+    "slip",
     "layer",
 )  # stages that take one term: two of them never meet in one table, so they may share names of parameters
 NAME = re.compile("[a-z][a-z0-9_]*")

@@ -91,7 +91,7 @@ def make_forward(kit):
     crease, panel, ease_fold, ease_panel, straighten, draped = make_shells(kit) if draping else (ABSENT,) * 6
     layered, load_layer = kit.layered, load["layer"]
     meet_layers, met_layers = make_layers(kit) if layered else (ABSENT, ABSENT)
-    load_surface, load_touch, load_grip = load["surface"], load["touch"], load["grip"]
+    load_surface, load_touch, load_grip, load_slip = (load[s] for s in ("surface", "touch", "grip", "slip"))
     meet, met_points = make_outside(kit) if pointed else (ABSENT, ABSENT)
     strain, drag, squeezed = make_cells(kit) if filled or cells_easing else (ABSENT, ABSENT, ABSENT)
     alone, vector = cells_easing and half, abreast(8 if kit.R is wp.float64 else 4)
@@ -177,6 +177,7 @@ def make_forward(kit):
         p_surface = load_surface(w.table, b)
         p_touch = load_touch(w.table, b)
         p_grip = load_grip(w.table, b)
+        p_slip = load_slip(w.table, b)
         p_observer = load_observer(w.table, b)
         p_velocity = load_velocity(w.table, b)
         p_contact = load_contact(w.table, b)
@@ -252,7 +253,7 @@ def make_forward(kit):
                     barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
                 for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
-                    meet(w, here, there, q, dt, p_body, p_surface, p_touch, p_grip)
+                    meet(w, here, there, q, dt, p_body, p_surface, p_touch, p_grip, p_slip)
                 round += 1
                 barrier(w.counters, team, blocks, round)
             kept = wp.min(here, w.eased.shape[0] - 1)

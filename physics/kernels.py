@@ -117,6 +117,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         sheets_easing=bool(laws.stage("viscous_membrane") or laws.stage("viscous_plate")),
         layered=bool(laws.stage("layer")),
         touching=bool(laws.stage("touch")),
+        slipping=bool(laws.stage("slip")),
         growing=bool(laws.stage("growth")),
         flowing=bool(laws.stage("flow")),
         adding=bool(laws.stage("material")),
@@ -158,7 +159,7 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, four, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, pvm, pvp, pj, pb, pu, pt, pi, po, pv, pc, pm = (vectors[s] for s in STAGED)
+    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, pvm, pvp, pj, pb, pu, pt, pi, pz, po, pv, pc, pm = (vectors[s] for s in STAGED)
     pq, pk, two = vectors["memory"], vectors["cell_memory"], vectors["natural"]
 
     @wp.struct
@@ -279,6 +280,7 @@ def _structs(R, vec, four, vectors):
         held: wp.array(dtype=R)  # (P,) how firmly
         load: wp.array(dtype=R)  # (P,) kg
         anchor: wp.array2d(dtype=vec)  # (slots, P) m, what points remember of the ground
+        slid: wp.array2d(dtype=vec)  # (slots, P) m, how far they have slid in their hands (only with a slip term)
         push: wp.array(dtype=vec)  # (P,) N, from outside
         near_row: wp.array(dtype=wp.int32)  # (nodes+1,) first contact candidate
         near: wp.array(dtype=wp.int32)  # (candidates,)
@@ -336,6 +338,7 @@ def _structs(R, vec, four, vectors):
         load: wp.array(dtype=R)  # (P,)
         held: wp.array(dtype=R)
         anchor: wp.array(dtype=vec)  # (P,) in: at the stretch's end, out: at its start
+        slid: wp.array(dtype=vec)  # (P,) the same
         met_points: wp.array2d(dtype=vec)  # (P, 4) of a substep's forces from outside: a point's x, v, its controller's x, v
         cell_memory: wp.array2d(dtype=pk)  # (K, 8) of the memory; in: at the stretch's end, out: at its start
         memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start
@@ -345,6 +348,7 @@ def _structs(R, vec, four, vectors):
         surface: wp.array(dtype=pu)  # (P,)
         touch: wp.array(dtype=pt)
         grip: wp.array(dtype=pi)
+        slip: wp.array(dtype=pz)
         observer: wp.array(dtype=po)
         velocity: wp.array(dtype=pv)
         contact: wp.array(dtype=pc)

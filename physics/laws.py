@@ -77,6 +77,7 @@ class Laws:
             touch=_touch(self)[0],
             settle=_touch(self)[1],
             grip=summed(self, "grip"),
+            slip=_slip(self),
             observer=summed(self, "observer"),
             velocity=_velocity(self),
             contact=_contact(self),
@@ -140,6 +141,21 @@ def _touch(laws):
         return evolve(x, v, m, q, dt, p, 0)
 
     return touch, settle
+
+
+def _slip(laws):
+    found = laws.stage("slip")
+    if len(found) > 1:
+        raise ValueError(f"a system can have one term by which hands let slip, got {', '.join(t.name for t, _ in found)}")
+    if not found:
+        return None
+    law = found[0][0].law
+
+    @wp.func
+    def slip(apart: Any, pull: Any, m: Any, slid: Any, dt: Any, p: Any):
+        return law(apart, pull, m, slid, dt, p, 0)
+
+    return slip
 
 
 def _velocity(laws):

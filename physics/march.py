@@ -28,7 +28,8 @@ class Inputs:
     memory (springs, strand terms, at least 1): what springs remember at the start, in the order of their terms,
     cell_memory (cells, 8, numbers): what material points remember, nine numbers for each flow and branch term (``physics.materials``),
     natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains,
-    load (points,) kg, held (points,): how firmly hands hold them, anchor (points, 3) m: what they remember of the ground at the start
+    load (points,) kg, held (points,): how firmly hands hold them, anchor (points, 3) m: what they remember of the ground at the start,
+    slid (points, 3) m: how far they have slid in their hands by then
     """
 
     x: torch.Tensor
@@ -46,6 +47,7 @@ class Inputs:
     load: torch.Tensor
     held: torch.Tensor
     anchor: torch.Tensor
+    slid: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -55,13 +57,19 @@ class Carried:
     memory     (springs, strand terms, at least 1) of the springs
     directors  (segments, 3) of the ropes
     cell_memory  (cells, 8, numbers) of the material points of solids
-    anchor     (points, 3) of the ground
+    anchor     (points, 3) of the ground, and ``slid`` of hands
     """
 
     memory: torch.Tensor
     directors: torch.Tensor
     cell_memory: torch.Tensor
     anchor: torch.Tensor
+    slid: torch.Tensor
+
+    @classmethod
+    def of(cls, inputs: Inputs) -> Carried:
+        """What ``inputs`` start with."""
+        return cls(**{f.name: getattr(inputs, f.name) for f in fields(cls)})
 
 
 STATE = ("x", "v", *(f.name for f in fields(Carried)))
@@ -103,7 +111,7 @@ class Carrier:
         vectors = {"x", "v", "pushed", "free", "met", "share", "force", "path", "out", "home", "seen", "moment", "eased", "gain"}
         vectors |= {"directors", "bent", "turned", "carried", "wrung", "face", "faced", "points", "per", "squeeze", "cells"}
         vectors |= {"cell_home", "cell_at"}
-        vectors |= {"point_home", "anchor", "push", "met_points", "curving", "slope", "panel_force", "paneled", "folded"}
+        vectors |= {"point_home", "anchor", "slid", "push", "met_points", "curving", "slope", "panel_force", "paneled", "folded"}
         vectors |= {"pair_force", "paired"}
         kind = kernels.vectors.get(name) or (kernels.vec if name in vectors else kernels.real)
         dtype = wp.int32 if tensor.dtype == torch.int32 else kind
@@ -123,7 +131,7 @@ class World(Carrier):
     ``layers`` are ``Pairs``, or None.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, near, layers, slots, out):
+    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, near, layers, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -135,7 +143,9 @@ class World(Carrier):
         ways[0] = directors
         anchors = empty(slots if batch.touching else 1, *anchor.shape)
         anchors[0] = anchor
-        self.states, self.memory, self.ways, self.anchors = state, memory, ways, anchors
+        slides = empty(slots if batch.slipping else 1, *slid.shape)
+        slides[0] = slid
+        self.states, self.memory, self.ways, self.anchors, self.slides = state, memory, ways, anchors, slides
         ends = batch.constants["spring"].long()
         memories = empty(slots if batch.remembering else 0, len(ends), memory.shape[1])
         if batch.remembering:
@@ -158,7 +168,7 @@ class World(Carrier):
                 **batch.arrays,
                 **{k: values[k][ends] for k in ("rest", "stiffness")},
                 **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure", "load", "held")},
-                **dict(anchor=anchors, push=torch.empty_like(anchor)),
+                **dict(anchor=anchors, slid=slides, push=torch.empty_like(anchor)),
                 **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3), torque=empty(len(ways), len(values["flexure"]), 4)),
                 **dict(rolled=empty(len(ways) * len(directors)), factor=empty(len(directors), 4)),
                 **dict(face=empty(batch.facet_starts[-1], 3), swelling=empty(slots, len(batch.systems)), parts=batch.parts()),
@@ -183,10 +193,10 @@ class World(Carrier):
         self.struct.nodes = n
         self.pair(layers or Pairs.none(batch))
 
-    def go_on(self, x, v, memory, directors, cell_memory, anchor, out) -> None:
+    def go_on(self, x, v, memory, directors, cell_memory, anchor, slid, out) -> None:
         """Start again, in slot 0, at the tensors of ``STATE``."""
         self.states[0, :, 0:3], self.states[0, :, 4:7] = x, v
-        self.ways[0], self.anchors[0], self.memory = directors, anchor, memory
+        self.ways[0], self.anchors[0], self.slides[0], self.memory = directors, anchor, slid, memory
         if self._batch.remembering:
             self.memories[0] = memory[self._batch.constants["spring"].long()]
         self.cell_memories[:1] = cell_memory
@@ -219,9 +229,10 @@ class World(Carrier):
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = at(self.memories, batch.spring_system[batch.lower_spring], batch.lower_end)
-        ways, anchors = at(self.ways, batch.rope_system), at(self.anchors, batch.point_system)
+        ways = at(self.ways, batch.rope_system)
+        anchors, slides = (at(kept, batch.point_system) for kept in (self.anchors, self.slides))
         cell_memory = at(self.cell_memories, batch.cell_system) if batch.cells_remembering else torch.zeros_like(batch.inputs.cell_memory)
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors, slides
 
 
 class Adjoint(Carrier):
@@ -230,7 +241,7 @@ class Adjoint(Carrier):
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, out, wanted):
+    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, out, wanted):
         self.batch, self.memory = batch, memory
         hinges, segments = len(values["flexure"]), len(directors)
 
@@ -243,7 +254,7 @@ class Adjoint(Carrier):
         self.counts["layer"] = batch.node_count
         panels, folds = batch.panel_starts[-1], batch.fold_count
         self.counts |= dict.fromkeys(SHEETS, panels)
-        self.counts |= dict.fromkeys(("surface", "touch", "grip", *(["body"] if batch.pointed else [])), len(anchor))
+        self.counts |= dict.fromkeys(("surface", "touch", "grip", "slip", *(["body"] if batch.pointed else [])), len(anchor))
         stages = {s: zeros(batch.laws.width(s), count=self.counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure", "load", "held")}
         rods = dict(bent=zeros(8, 3, count=hinges), wrung=zeros(5, 3, count=hinges), turned=zeros(segments, 5, 3, count=2))
@@ -262,7 +273,7 @@ class Adjoint(Carrier):
                 **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), gain=zeros(3), cell_memory=cell_memory.contiguous().clone()),
                 **dict(paneled=zeros(6, 3, count=panels), panel_angle=zeros(3, 2, count=panels)),
                 **dict(angle=zeros(count=folds), folded=zeros(8, 3, count=folds)),
-                **dict(anchor=anchor.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
+                **dict(anchor=anchor.contiguous().clone(), slid=slid.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
             ),
         )
         for name in ("rest", "mass", "table"):
@@ -302,6 +313,7 @@ class Adjoint(Carrier):
             "load",
             "held",
             "anchor",
+            "slid",
         )
         return {"memory": memory, "table": table, **{k: t[k] for k in plain}}
 

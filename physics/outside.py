@@ -40,18 +40,18 @@ def point_functions(kit):
 
 
 def make_outside(kit):
-    """(meet, met): leave the force on a point and what it remembers of the ground; the force on a node by the points around it.
+    """(meet, met): leave the force on a point and what it remembers of ground and hand; the force on a node by the points around it.
 
     A lone thread leaves a point's force at its nodes, in the order of the points, and there is nothing left to ask for.
     """
     R, vec, World, get_x, get_v = kit.R, kit.vec, kit.World, kit.get_x, kit.get_v
-    pb, ps, pt, pg = (kit.vectors[s] for s in ("body", "surface", "touch", "grip"))
-    body, surface, touch, settle, grip = kit.laws.body, kit.laws.surface, kit.laws.touch, kit.laws.settle, kit.laws.grip
-    touching, half = kit.touching, kit.half
+    pb, ps, pt, pg, pz = (kit.vectors[s] for s in ("body", "surface", "touch", "grip", "slip"))
+    body, surface, touch, settle, grip, slip = (getattr(kit.laws, s) for s in ("body", "surface", "touch", "settle", "grip", "slip"))
+    touching, slipping, half = kit.touching, kit.slipping, kit.half
     whereabouts, corner = point_functions(kit)
 
     @wp.func
-    def meet(w: World, here: int, there: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg):
+    def meet(w: World, here: int, there: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg, p_slip: pz):
         x, v = whereabouts(w, here, q)
         f = body(x, v, w.point_home[q], w.load[q], p_body)
         m = w.carries[q]
@@ -65,7 +65,16 @@ def make_outside(kit):
         o = w.hold[q]
         if o >= 0:
             n = here * w.nodes + o
-            f += grip(get_x(w.state, n) - x, get_v(w.state, n) - v, m, p_grip) * w.held[q]
+            apart = get_x(w.state, n) - x
+            rate = get_v(w.state, n) - v
+            if wp.static(slipping):
+                before = w.slid[here, q]
+                apart = apart - before
+                after = slip(apart, grip(apart, vec(), m, p_grip), m, before, dt, p_slip)
+                w.slid[there, q] = after
+                apart = apart - (after - before)
+                rate = rate - (after - before) / dt
+            f += grip(apart, rate, m, p_grip) * w.held[q]
         if wp.static(half):
             for k in range(w.point_node.shape[1]):
                 i = w.point_node[q, k]
@@ -87,9 +96,9 @@ def make_outside(kit):
 def make_back_outside(kit):
     """(back_meet, remet): the adjoint of ``meet``, left at the point and its controller; what a node gets of it."""
     R, vec, World, Adjoint, get_x, get_v, give = kit.R, kit.vec, kit.World, kit.Adjoint, kit.get_x, kit.get_v, kit.give
-    pb, ps, pt, pg = (kit.vectors[s] for s in ("body", "surface", "touch", "grip"))
-    body, surface, touch, settle, grip = kit.laws.body, kit.laws.surface, kit.laws.touch, kit.laws.settle, kit.laws.grip
-    give_body, give_surface, give_touch, give_grip = (kit.give_all[s] for s in ("body", "surface", "touch", "grip"))
+    pb, ps, pt, pg, pz = (kit.vectors[s] for s in ("body", "surface", "touch", "grip", "slip"))
+    body, surface, touch, settle, grip, slip = (getattr(kit.laws, s) for s in ("body", "surface", "touch", "settle", "grip", "slip"))
+    give_body, give_surface, give_touch, give_grip, give_slip = (kit.give_all[s] for s in ("body", "surface", "touch", "grip", "slip"))
     touching = kit.touching
     whereabouts, corner = point_functions(kit)
 
@@ -111,7 +120,37 @@ def make_back_outside(kit):
         return wp.dot(g, grip(apart, rate, m, p))
 
     @wp.func
-    def back_meet(w: World, a: Adjoint, slot: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg):
+    def back_firm(w: World, a: Adjoint, slot: int, q: int, apart: vec, rate: vec, m: R, dt: R, p: pg, p_slip: pz, g: vec):
+        """Adjoint of the lag behind a hand and of its rate."""
+        hx, hv, _hm, hp, _hg = wp.grad(grip_dot)(apart, rate, m, p, g * w.held[q])
+        give(a.held, q, wp.dot(g, grip(apart, rate, m, p)))
+        if a.wants_table > 0:
+            give_grip(a.grip, q, hp)
+        return hx, hv
+
+    @wp.func
+    def slip_dot(lag: vec, rate: vec, m: R, before: vec, dt: R, p: pg, p_slip: pz, g: vec, on_slid: vec):
+        apart = lag - before
+        after = slip(apart, grip(apart, vec(), m, p), m, before, dt, p_slip)
+        moved = after - before
+        return wp.dot(g, grip(apart - moved, rate - moved / dt, m, p)) + wp.dot(on_slid, after)
+
+    @wp.func
+    def back_sliding(w: World, a: Adjoint, slot: int, q: int, lag: vec, rate: vec, m: R, dt: R, p: pg, p_slip: pz, g: vec):
+        """The same where hands let slip."""
+        before = w.slid[slot, q]
+        hx, hv, _hm, hq, _dt, hp, hz, _hg, _hgq = wp.grad(slip_dot)(lag, rate, m, before, dt, p, p_slip, g * w.held[q], a.slid[q])
+        give(a.held, q, slip_dot(lag, rate, m, before, dt, p, p_slip, g, vec()))
+        a.slid[q] = hq
+        if a.wants_table > 0:
+            give_grip(a.grip, q, hp)
+            give_slip(a.slip, q, hz)
+        return hx, hv
+
+    back_grip = back_sliding if kit.slipping else back_firm
+
+    @wp.func
+    def back_meet(w: World, a: Adjoint, slot: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg, p_slip: pz):
         x, v = whereabouts(w, slot, q)
         g = vec()
         for k in range(w.point_node.shape[1]):
@@ -140,10 +179,7 @@ def make_back_outside(kit):
             n = slot * w.nodes + o
             apart = get_x(w.state, n) - x
             rate = get_v(w.state, n) - v
-            hx, hv, _hm, hp, _hg = wp.grad(grip_dot)(apart, rate, m, p_grip, g * w.held[q])
-            give(a.held, q, wp.dot(g, grip(apart, rate, m, p_grip)))
-            if a.wants_table > 0:
-                give_grip(a.grip, q, hp)
+            hx, hv = back_grip(w, a, slot, q, apart, rate, m, dt, p_grip, p_slip, g)
             gx -= hx
             gv -= hv
             a.met_points[q, 2] = hx
@@ -212,4 +248,4 @@ def assemble_points(systems, starts, controllers, count: int) -> tuple[dict[str,
         carries=joined([carried_masses(p, s.masses) for s, p, _, _ in here]),
     )
     inputs = dict(load=joined([p.masses for _, p, _, _ in here]), held=joined([p.held for _, p, _, _ in here]))
-    return constants, inputs | dict(anchor=np.zeros((len(nodes), 3)))
+    return constants, inputs | dict(anchor=np.zeros((len(nodes), 3)), slid=np.zeros((len(nodes), 3)))

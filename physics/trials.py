@@ -11,6 +11,7 @@ from ..datasets.plugins import said
 from .batch import Batch
 from .facets import solid_facets
 from .grids import embed
+from .points import material_points
 from .sheets import Sheet
 from .system import FILLED, System
 from .terms import (
@@ -26,6 +27,7 @@ from .terms import (
     NeoHookean,
     PlateBending,
     PlateDamping,
+    SoftGrip,
     Springs,
     Term,
 )
@@ -96,6 +98,8 @@ def thrown(term, share, table=True, *, roped=None):
         return foam(term, share, table)
     if term.stage in SHEETS:
         return cloth(term, share, table)
+    if term.stage == "slip":
+        return carried(term, share)
     extra = () if share is None else (term,)
     stiff = np.full(len(springs) + len(ties), 40.0)
     plane = {"adhesion_normal_z": 1.0} if extra == (GroundAdhesion,) else {}
@@ -131,6 +135,29 @@ def foam(term, share, table=True):
     kinds = [NeoHookean({"youngs_modulus": 5e3}), Gravity({"gravity_z": -G}), KelvinVoigt({"viscosity": 20.0})]
     extra = None if term in (NeoHookean, KelvinVoigt) else term
     return led(rest, left, right, lead, kinds, extra, share, masses=grid.masses(100.0), grid=grid)
+
+
+def carried(term, share):
+    """A bar of foam that a hand shakes by one end and lets slip above half of its weight, with a ``term`` as in ``thrown``."""
+    samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.005 for n in (16, 6, 6)], indexing="ij"), -1).reshape(-1, 3)
+    grid, path = embed(samples, 0.08 * 0.03 * 0.03, 0.02, axes=np.eye(3)), np.linspace(0, 1, 11)[:, None, None]
+    points = material_points(grid, 100.0, samples[samples[:, 2] > 0.025], 0.08 * 0.03)
+    held = np.flatnonzero((points.home[:, 0] < 0.02) & (points.masses > 0))
+    points.holds[held], points.held[held] = np.arange(len(held)), 1.0
+    terms = [Gravity({"gravity_z": -G}), NeoHookean({"youngs_modulus": 2e4}), SoftGrip({"grip_rate": 300.0})]
+    if share is not None:
+        burden = G * points.masses.sum() / points.masses[held].sum()
+        own = {name: share * value for name, value in term.stands_for().typical.items()}
+        terms.append(term({"slide_weights": 0.5, "slide_burden": burden} | own))
+    return System(
+        positions=grid.positions,
+        springs=np.zeros((0, 2), int),
+        stiffness=np.zeros(0),
+        controllers=points.home[held] + 0.02 * np.sin(6 * np.pi * path) * [0.3, 0.2, 1.0],
+        grid=grid,
+        points=points,
+        terms=terms,
+    )
 
 
 def cloth(term, share, table=True):

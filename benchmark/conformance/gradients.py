@@ -86,10 +86,12 @@ VALUES = dict(
     plate_poisson=0.2,
     plate_viscous_poisson=0.1,
     grip_rate=300.0,
+    slide_burden=20.0,
+    slide_weights=0.5,
     layer_thickness=0.008,
     layer_friction=0.4,
 )
-POINTS = ("surface", "touch", "grip")  # stages at points of the material
+POINTS = ("surface", "touch", "grip", "slip")  # stages at points of the material
 # terms that only change what another one reads, or resist what only another one does: a rope twists where its natural curvature asks for it
 READ_BY = {"natural_curvature": Bending, "torsion": Bending}
 REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035

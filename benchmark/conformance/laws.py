@@ -135,6 +135,8 @@ def random_inputs(stage, rng):
         return [x[0], v[0], *positive[:2], 0.1 * positive[2]]
     if stage == "touch":
         return [x[0], v[0], positive[0], 0.01 * x[1]]
+    if stage == "slip":
+        return [0.01 * x[0], 100 * v[0], positive[0], 0.01 * x[1], 0.01 * positive[1]]
     if stage in ("surface", "grip"):
         return [x[0], v[0], *([x[1], positive[0]] if stage == "surface" else []), positive[1]]
     if stage in ("body", "observer"):

@@ -43,8 +43,7 @@ class EngineLive(Live):
     def begin(self, batch: Batch, inputs) -> None:
         """Start at ``inputs``."""
         self.batch, self.inputs = batch, inputs
-        carried = Carried(inputs.memory, inputs.directors, inputs.cell_memory, inputs.anchor)
-        self.now = Moment(0, inputs.x, inputs.v, carried, inputs.path[0].double().cpu().numpy())
+        self.now = Moment(0, inputs.x, inputs.v, Carried.of(inputs), inputs.path[0].double().cpu().numpy())
         self._before = self.now
         # laws that remember, or are late, are told the time and all of the path; the others only where controllers are and will be
         self._timed = batch.remembering or any(t.name == "controller_delay" for t, _ in batch.laws.stage("setup"))
@@ -110,7 +109,13 @@ class EngineLive(Live):
             out, x, v, carried = batch.march(now.frame if self._timed else 0, 1, inputs, whole=True)
         if first_bad(batch.split(out)[0]) >= 0:
             return None
-        changes = dict(memory=batch.remembering, directors=batch.hinged, cell_memory=batch.cells_remembering, anchor=batch.touching)
+        changes = dict(
+            memory=batch.remembering,
+            directors=batch.hinged,
+            cell_memory=batch.cells_remembering,
+            anchor=batch.touching,
+            slid=batch.slipping,
+        )
         same = {name: getattr(now.carried, name) for name, change in changes.items() if not change}  # many moments are kept
         return Moment(now.frame + 1, x, v, replace(carried, **same), row)
 

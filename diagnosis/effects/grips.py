@@ -1,6 +1,7 @@
 """Hands that give way, and hands that nobody listed."""
 
 from ...methods.continuum.simulate import FIRM
+from ...physics import terms
 from .effect import Amount, Effect
 
 __all__ = ["EFFECTS", "HOLD"]
@@ -22,6 +23,7 @@ EFFECTS = (
         law=_yielding,
         motion="lifting, then shaking",
     ),
+    Effect.of_term("grip", terms.SlidingHand, ("solid", "rope", "sheet")),
 )
 
 HOLD = Effect(  # asked by itself (``holding``): it has no amount, and its path is what was seen

@@ -35,8 +35,8 @@ class Scale:
 
     @classmethod
     def of(cls, signature: Signature, run: Callable[[np.ndarray], np.ndarray], reference, motion: float) -> Scale:
-        """Measured by runs of the reference twin with the effect: ``run`` amounts (K, m) -> (K, b) m of what is fitted, ``reference`` (b,) m
-        without it; ``motion`` mm are a deviation."""
+        """Measured by runs of the reference twin with the effect, ``run``: amounts (K, m) -> (K, b) m of what is fitted, ``reference`` (b,)
+        m without it; ``motion`` mm are a deviation."""
         amounts, wide = signature.candidate.effect.amounts, signature.unit * signature.spread
         linear = cls(wide, None, np.array([a.low for a in amounts]) / wide, np.array([a.high for a in amounts]) / wide)
         if len(amounts) > 1:

@@ -20,7 +20,6 @@ from ...methods.continuum.simulate import Simulator
 from ...methods.continuum.twin import ContinuumTwin
 from ...methods.continuum.unknowns import Unknown
 from ...physics.side_by_side import side_by_side
-from ...physics.terms.base import Term
 from ..config import DiagnosisConfig
 from ..effects import Candidate
 from .blocks import Blocks
@@ -255,7 +254,7 @@ class Forward:
         made = list(self.simulators)
         for r in self.asked:
             one = made[r]
-            made[r] = replace(one, extra=(*one.extra, *(_told(law, one.scene) for law in laws.values())))
+            made[r] = replace(one, extra=(*one.extra, *laws.values()))
         seen = {c.effect.seen: None for c in candidates if c.effect.seen}
         return replace(self, simulators=tuple(made), acting=self.acting | acting, seen=(*self.seen, *seen))
 
@@ -268,12 +267,3 @@ class Forward:
 def _coarser(scene, recording, cells):
     """The scene in cells ``cells`` times as large; a body that is under load in frame 0 keeps its own."""
     return scene if cells == 1.0 or scene.body.is_loaded else replace(scene, body=scene.body.coarser(recording, cells))
-
-
-def _told(term: Term, scene) -> Term:
-    """``term`` with what the recording says of its surroundings: gravity, the plane of the ground."""
-    known = {f"told_gravity_{axis}": float(g) for axis, g in zip("xyz", scene.gravity, strict=True)}
-    if scene.ground is not None:
-        plane = dict(zip(("normal_x", "normal_y", "normal_z", "offset"), (*scene.ground.normal, scene.ground.offset), strict=True))
-        known |= {f"adhesion_{name}": float(value) for name, value in plane.items()}
-    return term.with_values(**{name: value for name, value in known.items() if name in term.values})

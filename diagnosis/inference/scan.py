@@ -67,8 +67,9 @@ def signatures(
     """What each candidate that shows in the recordings does, beside the reference's ``paths``, R of (T, M, 3) m, and block means (B,) m.
 
     By differences from the reference, each measured at some ``config.probe`` mm of motion of what is fitted: a first run tells how large
-    that is. Runs end with the fitted frames, but of what is usually there. Places on the body are those of frame 0 of the first recording that is asked, and where they are in others follows from how the body lies there;
-    where that leaves a choice (``Body.ways``), it is made by ``residual`` (B,) m, of deviations ``sd`` (B,): see ``_turned``.
+    that is. Runs end with the fitted frames, but of what is usually there. Places on the body are those of frame 0 of the first recording
+    that is asked, and where they are in others follows from how the body lies there; where that leaves a choice (``Body.ways``), it is made
+    by ``residual`` (B,) m, of deviations ``sd`` (B,): see ``_turned``.
     Where effects are known to be ``missing``, by name with their place (3,) m or None, no others are asked, and nowhere else.
     """
     kind, asked_of = forward.simulators[0].scene.body.kind, forward.asked

@@ -10,6 +10,7 @@ import numpy as np
 
 from ...datasets.scenario import Observed, Plane
 from ...physics.points import Points
+from ...physics.terms.base import Term
 from .bodies import Body
 from .hands import FINGER, SOFT, Hand, bar_of, frames_of, hands_of, steadied
 from .held import falloff
@@ -187,6 +188,23 @@ class Scene:
         held = self.firmness(shift, reach) * self.points.masses[self.grasp.points]
         each = np.bincount(self.grasp.hand, held, len(self.hands))[list(self.soft)]
         return float(np.exp(np.mean(np.log(each))))
+
+    @property
+    def burden(self) -> float | None:
+        """m/s^2, by which soft hands pull what they hold while they carry all of the body at rest; None where none does."""
+        held = self.firmness(np.zeros((len(self.hands), 3)), np.ones(len(self.hands))) @ self.points.masses[self.grasp.points]
+        return float(np.linalg.norm(self.gravity) * self.points.masses.sum() / held) if held > 0 else None
+
+    def tell(self, term: Term) -> Term:
+        """``term`` with what the recording says of its surroundings: gravity, the plane of the ground, what hands carry."""
+        known = {f"told_gravity_{axis}": float(g) for axis, g in zip("xyz", self.gravity, strict=True)}
+        if self.ground is not None:
+            plane = dict(zip(("normal_x", "normal_y", "normal_z", "offset"), (*self.ground.normal, self.ground.offset), strict=True))
+            known |= {f"adhesion_{name}": float(value) for name, value in plane.items()}
+        if "slide_burden" in term.values and (burden := self.burden):
+            low, high = next((p.low, p.high) for p in term.parameters if p.name == "slide_burden")
+            known |= {"slide_burden": float(np.clip(burden, low, high))}
+        return term.with_values(**{name: value for name, value in known.items() if name in term.values})
 
     def paths(self, controllers=None) -> np.ndarray:
         """(T, D + n + f, 3) m, where ``controllers`` (the recording's own unless given) move D driven nodes, and what ``carried`` says."""

@@ -73,7 +73,7 @@ class Simulator:
             controllers=scene.paths()[:1],
             grips=np.concatenate([driven, soft, fastened]),
             points=replace(scene.points, holds=holds, held=held),
-            terms=[*terms, *self.extra],
+            terms=[*terms, *map(scene.tell, self.extra)],
             name=scene.name,
             **scene.body.parts,
         )

@@ -53,6 +53,7 @@ from .rest_shape import RestShape
 from .second_hand import SecondHand
 from .self_collision import SelfCollision
 from .sheet_tension import SheetTension
+from .sliding_hand import SlidingHand
 from .soft_grip import SoftGrip
 from .soft_ground import SoftGround
 from .springs import Springs
@@ -123,6 +124,7 @@ __all__ = [
     "SecondHand",
     "SelfCollision",
     "SheetTension",
+    "SlidingHand",
     "SoftGrip",
     "SoftGround",
     "Springs",

@@ -10,7 +10,7 @@ its rate. ``home`` [m] is where the material was in frame 0. A solid that grew o
 viscous see deformed = F G^-1, and the stress is pulled back, P = det(G) P(F G^-1) G^-T. See ``physics.materials``.
 
 Where a system has material points (``physics.points``), body forces act on them instead of on nodes, and only then are there the stages
-"surface", "touch" and "grip"; m [kg] is what a point carries of its body, for springs that must hold it.
+"surface", "touch", "grip" and "slip"; m [kg] is what a point carries of its body, for springs that must hold it.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ __all__ = [
     "ObserverTerm",
     "PlateTerm",
     "SetupTerm",
+    "SlipTerm",
     "SolidTerm",
     "StrandTerm",
     "SurfaceTerm",
@@ -257,6 +258,17 @@ class GripTerm(HardTerm):
     given = ("apart", "rate", "m")
 
 
+class SlipTerm(KernelTerm):
+    """How far a point has slid in the hand that holds it after a substep [m], 0 in frame 0.
+
+    It lags ``apart`` [m] behind its hand beside the ``slid`` [m] before, and is pulled by as much as ``pull`` [N] for that. What it tends
+    to must not be overshot however long dt is.
+    """
+
+    stage = "slip"
+    given = ("apart", "pull", "m", "slid", "dt")
+
+
 class ObserverTerm(KernelTerm):
     """The force on one particle that was seen at y [m], moving with u [m/s]."""
 
@@ -310,7 +322,7 @@ _SPRINGS = (AxialTerm, StrandTerm, HingeTerm, FacetTerm)
 _CELLS = (GrowthTerm, FlowTerm, SolidTerm, MaterialTerm, BranchTerm, ViscousTerm)
 _SHEETS = (MembraneTerm, PlateTerm, ViscousMembraneTerm, ViscousPlateTerm)
 _EASED = (ViscousTerm, ViscousMembraneTerm, ViscousPlateTerm)
-_POINTS = (BodyTerm, SurfaceTerm, TouchTerm, GripTerm)
+_POINTS = (BodyTerm, SurfaceTerm, TouchTerm, GripTerm, SlipTerm)
 _STAGED = (*_SPRINGS, *_CELLS, *_SHEETS, LayerTerm, *_POINTS, ObserverTerm, VelocityTerm, ContactTerm, MoveTerm)
 
 TERMS = ()  # none of these is a term that can be used

@@ -234,6 +234,18 @@ def test_fitted_frames_alone_are_as_in_runs_of_all(twin, recording, monkeypatch)
     assert not np.isfinite(alone.rows(values)[1]).any() and np.isfinite(alone.rows(values)[0]).all()  # what diverges says nothing at all
 
 
+def test_effects_are_told_what_a_recording_says(twin, recording):
+    # gravity, and what hands pull by while they carry the body: b sum(held m) = M g, in whatever scene the term acts
+    forward = Forward.of(twin, [recording], CONFIG)
+    tilt, slip = (next(e for e in effects("solid") if e.name == name).candidates(None)[0] for name in ("gravity_tilt", "grip_slip"))
+    runner = forward.with_effects([tilt, slip]).simulators[0]
+    known, scene = runner.system.values, runner.scene
+    np.testing.assert_array_equal([known[f"told_gravity_{axis}"] for axis in "xyz"], scene.gravity)
+    usual = np.zeros((len(scene.hands), 3)), np.ones(len(scene.hands))
+    held = scene.firmness(*usual) @ scene.points.masses[scene.grasp.points]
+    assert known["slide_burden"] * held == pytest.approx(np.linalg.norm(scene.gravity) * scene.points.masses.sum())
+
+
 def test_effects_act_in_recordings_that_are_not_known_to_be_sound(twin, recording):
     # wind in both, and in the second alone: what is sound stays as it is to the last bit, and what is not moves as in the other case
     wind = next(e for e in effects("solid") if e.name == "wind").candidates(None)[0]

@@ -38,6 +38,7 @@ def sheets(*kinds):
 GROUPS = {
     "foam": lambda: solids(terms.KelvinVoigt),
     "held and sliding": lambda: solids(terms.CoulombGround, terms.SoftGrip, terms.SurfaceDrag),
+    "held and let slip": lambda: solids(terms.SoftGrip, terms.SlidingHand),
     "materials": lambda: solids(
         terms.Fung, terms.Fibres, terms.TensionCompression, terms.Inflation, terms.StiffnessPatch, terms.GrownShape
     ),

@@ -20,6 +20,7 @@ from twinbench.physics.terms import (
     KelvinVoigt,
     LinearDrag,
     NeoHookean,
+    SlidingHand,
     SoftGrip,
     SurfaceDrag,
     Wind,
@@ -168,6 +169,58 @@ def test_forces_by_the_mass_are_those_on_nodes_where_they_do_not_ask_for_the_pla
     )  # the wind asks how fast they are, each by itself
 
 
+@pytest.mark.parametrize("weights", [0.6, 2.5])
+def test_a_hand_lets_slip_what_is_heavier_than_it_holds(weights):
+    # held everywhere by a force s M g: a body of M g slides out at c (1 - s) beside its lag of g / w^2, or hangs there, where its bounce of
+    # 2 M g does not reach s. Springs of 60 1/s with a fifth of critical damping have decayed by exp(-24) after two seconds; what slides
+    # in a substep counts at its end, a share c w^2 / g dt of the lag
+    rate, speed = 60.0, 0.05
+    slide = SlidingHand({"slide_speed": speed, "slide_weights": weights, "slide_burden": 9.8})
+    one = block(Gravity({"gravity_z": -9.8}), SoftGrip({"grip_rate": rate}), slide, hold=lambda home: home[:, 0] < np.inf)
+    one.points.held[one.points.masses == 0] = 0.0
+    path = middle(one, Batch([one], fps=30, substeps=400, double=True).rollout(91).positions[0])[:, 2]
+    if weights > 1:
+        assert path[-1] - path[0] == pytest.approx(-9.8 / rate**2, abs=2e-6)
+    else:
+        assert (path[90] - path[60]) == pytest.approx(-speed * (1 - weights), rel=speed * rate**2 / 9.8 / (30 * 400))
+
+
+def test_what_slid_out_of_a_hand_does_not_come_back():
+    # gravity is turned off by turning it round: the body is back where it slid to, which no spring remembers
+    slide = SlidingHand({"slide_speed": 0.05, "slide_weights": 0.6, "slide_burden": 9.8})
+    one = block(Gravity({"gravity_z": -9.8}), SoftGrip({"grip_rate": 60.0, "grip_damping": 1.0}), slide, hold=lambda h: h[:, 0] < np.inf)
+    one.points.held[one.points.masses == 0] = 0.0
+    batch = Batch([one], fps=30, substeps=40, double=True)
+    _, x, v, carried = batch.march(0, 30, whole=True)
+    table = batch.inputs.table.clone()
+    table[:, batch.column("gravity_z")] = 0.0
+    out, _x, _v, after = batch.march(30, 30, replace(batch.inputs, x=x, v=v, table=table, **vars(carried)), whole=True)
+    gone = -after.slid[torch.tensor(one.points.masses > 0)].mean(0)
+    assert gone[2] < -0.015  # some 0.05 (1 - 0.6) m/s for a second
+    moved = middle(one, torch.stack([batch.inputs.x, out[-1]])[:, : one.particle_count])
+    np.testing.assert_allclose(moved[1] - moved[0], gone.numpy(), atol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def sliding():
+    """The same of two bodies that slide out of their hands, some way from where these took hold of them."""
+    batch = Batch([gradients.solid(SlidingHand, s) for s in (0, 1)], fps=30, substeps=4 * gradients.SUBSTEPS, double=True, workers=1)
+    generator = torch.Generator().manual_seed(3)
+    batch.inputs.slid = torch.randn(batch.inputs.slid.shape, generator=generator, dtype=torch.float64) * 1e-4
+    inputs = gradients.leaves(batch)
+    gradients.loss(batch, inputs).backward()
+    return batch, inputs
+
+
+@pytest.mark.parametrize("name", ["x", "v", "mass", "path", "held", "slid"])
+def test_gradients_with_hands_that_let_slip_are_those_of_differences(sliding, name):
+    # central differences in float64, relative error below 1e-4
+    batch, inputs = sliding
+    gradient = getattr(inputs, name).grad
+    assert gradient.abs().max() > 1e-9
+    gradients.check(batch, inputs, name, gradients.some(gradient))
+
+
 @pytest.fixture(scope="module")
 def pulled():
     """A batch of two bodies that hands pull over a table, with every input asking for a gradient, and the gradients there."""
@@ -212,14 +265,16 @@ def test_a_batch_is_its_systems_to_the_last_bit():
 
 
 def test_going_on_is_not_stopping():
-    # what the ground remembers is carried on: two marches in a row are one
+    # what the ground and hands remember is carried on: two marches in a row are one
     ground = CoulombGround({"coulomb_normal_z": 1.0, "coulomb_offset": 0.001})
-    batch = Batch([block(Gravity({"gravity_z": -9.8, "gravity_x": 2.0}), ground)], fps=30, substeps=40)
+    hand = SoftGrip({"grip_rate": 60.0}), SlidingHand({"slide_speed": 0.1, "slide_weights": 0.05, "slide_burden": 9.8})
+    one = block(Gravity({"gravity_z": -9.8, "gravity_x": 2.0}), ground, *hand, hold=lambda home: home[:, 0] < 0.02)
+    batch = Batch([one], fps=30, substeps=40)
     whole = batch.march(0, 6)[0]
     first, x, v, carried = batch.march(0, 3, whole=True)
     second = batch.march(3, 3, replace(batch.inputs, x=x, v=v, **vars(carried)))[0]
     assert torch.equal(torch.cat([first, second]), whole)
-    assert carried.anchor.abs().max() > 1e-6
+    assert carried.anchor.abs().max() > 1e-6 and carried.slid.abs().max() > 1e-6
 
 
 def test_a_stable_step_counts_contacts_and_grips():

@@ -171,7 +171,7 @@ def test_columns_are_ordered_by_stage_and_padded():
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
     cells = ["_growth", "_flow", "_solid", "_material", "_branch", "_viscous"]
     cells += ["_membrane", "_plate", "_viscous_membrane", "_viscous_plate", "_layer"]
-    first = ["_axial", "_strand", "_hinge", "_facet", *cells, "_body", "_surface", "_touch", "_grip", "_observer", "_velocity"]
+    first = ["_axial", "_strand", "_hinge", "_facet", *cells, "_body", "_surface", "_touch", "_grip", "_slip", "_observer", "_velocity"]
     assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
     air = [
         "dashpot_damping",
@@ -183,6 +183,7 @@ def test_columns_are_ordered_by_stage_and_padded():
         "_surface",
         "_touch",
         "_grip",
+        "_slip",
         "_observer",
         "drag_damping",
         "_contact",
