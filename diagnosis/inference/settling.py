@@ -37,7 +37,7 @@ def settled(twin: ContinuumTwin, recordings: Sequence[Scenario], config: Diagnos
     """``twin`` with what was fitted of it fitted again to block means of the train frames of the ``recordings`` that it was fitted to.
 
     Means count by their noise and ``config.floor``. Kinds of body whose ``settling`` is 0 stay as they are, and so does a twin all of
-    whose runs diverge.
+    whose runs diverge, or that would beyond the fitted frames.
     """
     steps = twin.scene.body.settling
     if not steps or not twin.posterior:
@@ -67,5 +67,7 @@ def settled(twin: ContinuumTwin, recordings: Sequence[Scenario], config: Diagnos
             loss=StudentT(np.inf),
         )
     except AllDiverged:
+        return twin
+    if not np.isfinite(forward.rows([found.values])).all():
         return twin
     return replace(twin, values=twin.values | own_values(found.values, 0), posterior=posterior_of(found))

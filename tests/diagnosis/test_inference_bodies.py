@@ -148,6 +148,14 @@ def test_held_out_frames_settle_nothing(twin, recording, monkeypatch):
     assert one.posterior["scaled"] == other.posterior["scaled"]
 
 
+def test_a_twin_that_would_diverge_later_settles_nowhere(twin, recording, monkeypatch):
+    # what is fitted is run through the fitted frames alone, so that the others are looked at once, at the end
+    monkeypatch.setattr(type(twin.scene.body), "settling", 1)
+    rows = Forward.rows
+    monkeypatch.setattr(Forward, "rows", lambda self, values: rows(self, values) if self.after is not None else rows(self, values) * np.nan)
+    assert settled(twin, [recording], CONFIG) is twin
+
+
 def test_members_are_shared_by_threads_and_what_they_find_is_not(twin, recording, monkeypatch):
     # a run by threads is the run by one, to the bit; what cannot be made is NaN; all runs are counted, in CPU seconds of the whole process
     forward = Forward.of(twin, [recording], CONFIG)
