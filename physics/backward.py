@@ -47,7 +47,8 @@ def make_backward(kit):
     layered, load_layer = kit.layered, load["layer"]
     back_meet_layers, relayered = make_back_layers(kit) if layered else (ABSENT, ABSENT)
     load_surface, load_touch, load_grip, load_slip = (load[s] for s in ("surface", "touch", "grip", "slip"))
-    back_meet, remet = make_back_outside(kit) if pointed else (ABSENT, ABSENT)
+    back_meet, remet, back_slide = make_back_outside(kit) if pointed else (ABSENT,) * 3
+    slipping = kit.slipping
     back_strain, back_drag, resqueezed = make_back_cells(kit) if filled or cells_easing else (ABSENT, ABSENT, ABSENT)
     back_press, grown, back_pressed = make_back_skin(kit) if skinned else (ABSENT, ABSENT, ABSENT)
     back_bend, regained = make_back_rods(kit) if hinged else (ABSENT, ABSENT)
@@ -173,7 +174,13 @@ def make_backward(kit):
             if wp.static(pointed):
                 if k < count:
                     for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
-                        back_meet(w, a, k, q, dt, p_body, p_surface, p_touch, p_grip, p_slip)
+                        back_meet(w, a, k, q, dt, p_body, p_surface, p_touch, p_grip)
+                    round += 1
+                    barrier(w.counters, team, blocks, round)
+            if wp.static(slipping):
+                if k < count:
+                    for h in range(w.hand_start[b] + lane, w.hand_start[b + 1], width):
+                        back_slide(w, a, k, h, dt, p_grip, p_slip)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             swelled = R(0.0)

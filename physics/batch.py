@@ -189,6 +189,7 @@ class Batch:
         solid = {name: cells.pop(name) for name in ("points", "cell_volume", "cell_home", "cell_at", "per", "ease")}
         points, outside = assemble_points(systems, start, [i[s.particle_count :] for i, s in zip(indices, systems, strict=True)], count)
         self.point_starts = points["point_start"]
+        self.hand_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(points["hand_start"]))).long()
         solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
         sheets, drape = assemble_sheets(systems, start, count)
         self.panel_starts, self.fold_count = sheets["panel_start"], len(sheets["fold"])

@@ -92,7 +92,8 @@ def make_forward(kit):
     layered, load_layer = kit.layered, load["layer"]
     meet_layers, met_layers = make_layers(kit) if layered else (ABSENT, ABSENT)
     load_surface, load_touch, load_grip, load_slip = (load[s] for s in ("surface", "touch", "grip", "slip"))
-    meet, met_points = make_outside(kit) if pointed else (ABSENT, ABSENT)
+    meet, met_points, slide = make_outside(kit) if pointed else (ABSENT,) * 3
+    slipping = kit.slipping
     strain, drag, squeezed = make_cells(kit) if filled or cells_easing else (ABSENT, ABSENT, ABSENT)
     alone, vector = cells_easing and half, abreast(8 if kit.R is wp.float64 else 4)
     law_of, integrated, placed, damped = make_lanes(kit) if alone else (ABSENT, ABSENT, ABSENT, ABSENT)
@@ -251,9 +252,14 @@ def make_forward(kit):
                         meet_layers(w, here, wp.min(here, w.meeting.shape[0] - 1), c, k, dt, p_layer)
                     round += 1
                     barrier(w.counters, team, blocks, round)
+            if wp.static(slipping):
+                for h in range(w.hand_start[b] + lane, w.hand_start[b + 1], width):
+                    slide(w, here, there, h, dt, p_grip, p_slip)
+                round += 1
+                barrier(w.counters, team, blocks, round)
             if wp.static(pointed):
                 for q in range(w.point_start[b] + lane, w.point_start[b + 1], width):
-                    meet(w, here, there, q, dt, p_body, p_surface, p_touch, p_grip, p_slip)
+                    meet(w, here, there, q, dt, p_body, p_surface, p_touch, p_grip)
                 round += 1
                 barrier(w.counters, team, blocks, round)
             kept = wp.min(here, w.eased.shape[0] - 1)

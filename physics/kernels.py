@@ -280,7 +280,11 @@ def _structs(R, vec, four, vectors):
         held: wp.array(dtype=R)  # (P,) how firmly
         load: wp.array(dtype=R)  # (P,) kg
         anchor: wp.array2d(dtype=vec)  # (slots, P) m, what points remember of the ground
-        slid: wp.array2d(dtype=vec)  # (slots, P) m, how far they have slid in their hands (only with a slip term)
+        hand_start: wp.array(dtype=wp.int32)  # (B+1,) first hand of each system that holds points
+        hand_row: wp.array(dtype=wp.int32)  # (hands+1,) first entry of each hand in
+        hand_of: wp.array(dtype=wp.int32)  # the points that it holds
+        hand: wp.array(dtype=wp.int32)  # (P,) the hand of each point, or -1
+        slid: wp.array2d(dtype=vec)  # (slots, hands) m, how far what they hold has slid (only with a slip term)
         push: wp.array(dtype=vec)  # (P,) N, from outside
         near_row: wp.array(dtype=wp.int32)  # (nodes+1,) first contact candidate
         near: wp.array(dtype=wp.int32)  # (candidates,)
@@ -338,7 +342,7 @@ def _structs(R, vec, four, vectors):
         load: wp.array(dtype=R)  # (P,)
         held: wp.array(dtype=R)
         anchor: wp.array(dtype=vec)  # (P,) in: at the stretch's end, out: at its start
-        slid: wp.array(dtype=vec)  # (P,) the same
+        slid: wp.array(dtype=vec)  # (hands,) the same
         met_points: wp.array2d(dtype=vec)  # (P, 4) of a substep's forces from outside: a point's x, v, its controller's x, v
         cell_memory: wp.array2d(dtype=pk)  # (K, 8) of the memory; in: at the stretch's end, out: at its start
         memory: wp.array(dtype=pq)  # (ends,) of the memory; in: at the stretch's end, out: at its start

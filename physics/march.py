@@ -29,7 +29,7 @@ class Inputs:
     cell_memory (cells, 8, numbers): what material points remember, nine numbers for each flow and branch term (``physics.materials``),
     natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains,
     load (points,) kg, held (points,): how firmly hands hold them, anchor (points, 3) m: what they remember of the ground at the start,
-    slid (points, 3) m: how far they have slid in their hands by then
+    slid (hands, 3) m: how far what they hold has slid by then
     """
 
     x: torch.Tensor
@@ -57,7 +57,8 @@ class Carried:
     memory     (springs, strand terms, at least 1) of the springs
     directors  (segments, 3) of the ropes
     cell_memory  (cells, 8, numbers) of the material points of solids
-    anchor     (points, 3) of the ground, and ``slid`` of hands
+    anchor     (points, 3) of the ground
+    slid       (hands, 3) of what hands hold
     """
 
     memory: torch.Tensor
@@ -230,7 +231,7 @@ class World(Carrier):
         if batch.remembering:
             memory[batch.lower_spring] = at(self.memories, batch.spring_system[batch.lower_spring], batch.lower_end)
         ways = at(self.ways, batch.rope_system)
-        anchors, slides = (at(kept, batch.point_system) for kept in (self.anchors, self.slides))
+        anchors, slides = at(self.anchors, batch.point_system), at(self.slides, batch.hand_system)
         cell_memory = at(self.cell_memories, batch.cell_system) if batch.cells_remembering else torch.zeros_like(batch.inputs.cell_memory)
         return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors, slides
 

@@ -11,6 +11,8 @@ from .hinges import incidence
 
 __all__ = ["assemble_points", "make_back_outside", "make_outside"]
 
+NOBODY = 1e-12  # kg: a hand that holds less holds nothing
+
 
 def point_functions(kit):
     """(whereabouts, corner): position and velocity of a point, and its nodes' share of anything."""
@@ -40,7 +42,8 @@ def point_functions(kit):
 
 
 def make_outside(kit):
-    """(meet, met): leave the force on a point and what it remembers of ground and hand; the force on a node by the points around it.
+    """(meet, met, slide): leave the force on a point and what it remembers of the ground; the force on a node by the points around it; how
+    far what a hand holds slides, before ``meet``.
 
     A lone thread leaves a point's force at its nodes, in the order of the points, and there is nothing left to ask for.
     """
@@ -49,9 +52,16 @@ def make_outside(kit):
     body, surface, touch, settle, grip, slip = (getattr(kit.laws, s) for s in ("body", "surface", "touch", "settle", "grip", "slip"))
     touching, slipping, half = kit.touching, kit.slipping, kit.half
     whereabouts, corner = point_functions(kit)
+    pulled, _ = hand_functions(kit)
 
     @wp.func
-    def meet(w: World, here: int, there: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg, p_slip: pz):
+    def slide(w: World, here: int, there: int, h: int, dt: R, p_grip: pg, p_slip: pz):
+        before = w.slid[here, h]
+        apart, pull, m = pulled(w, here, h, before, p_grip)
+        w.slid[there, h] = slip(apart, pull, m, before, dt, p_slip)
+
+    @wp.func
+    def meet(w: World, here: int, there: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg):
         x, v = whereabouts(w, here, q)
         f = body(x, v, w.point_home[q], w.load[q], p_body)
         m = w.carries[q]
@@ -68,12 +78,9 @@ def make_outside(kit):
             apart = get_x(w.state, n) - x
             rate = get_v(w.state, n) - v
             if wp.static(slipping):
-                before = w.slid[here, q]
-                apart = apart - before
-                after = slip(apart, grip(apart, vec(), m, p_grip), m, before, dt, p_slip)
-                w.slid[there, q] = after
-                apart = apart - (after - before)
-                rate = rate - (after - before) / dt
+                slid = w.slid[there, w.hand[q]]
+                apart = apart - slid
+                rate = rate - (slid - w.slid[here, w.hand[q]]) / dt
             f += grip(apart, rate, m, p_grip) * w.held[q]
         if wp.static(half):
             for k in range(w.point_node.shape[1]):
@@ -90,17 +97,48 @@ def make_outside(kit):
             f += w.push[q] * weight  # only free nodes ask: no entry of theirs is a controller's
         return f
 
-    return meet, met
+    return meet, met, slide
+
+
+def hand_functions(kit):
+    """(pulled, lag): mean lag [m], pull [N] and mass [kg] of what a hand holds, beside how far that has slid; the lag of one point."""
+    R, vec, World, get_x, grip = kit.R, kit.vec, kit.World, kit.get_x, kit.laws.grip
+    pg = kit.vectors["grip"]
+    whereabouts, _ = point_functions(kit)
+
+    @wp.func
+    def lag(w: World, slot: int, q: int):
+        x, _v = whereabouts(w, slot, q)
+        return get_x(w.state, slot * w.nodes + w.hold[q]) - x
+
+    @wp.func
+    def pulled(w: World, slot: int, h: int, slid: vec, p_grip: pg):
+        apart = vec()
+        pull = vec()
+        mass = R(0.0)
+        for e in range(w.hand_row[h], w.hand_row[h + 1]):
+            q = w.hand_of[e]
+            m = w.carries[q] * w.held[q]
+            own = lag(w, slot, q) - slid
+            apart += own * m
+            pull += grip(own, vec(), w.carries[q], p_grip) * w.held[q]
+            mass += m
+        mass = wp.max(mass, R(NOBODY))
+        return apart / mass, pull, mass
+
+    return pulled, lag
 
 
 def make_back_outside(kit):
-    """(back_meet, remet): the adjoint of ``meet``, left at the point and its controller; what a node gets of it."""
+    """(back_meet, remet, back_slide): the adjoint of ``meet``, left at the point and its controller; what a node gets of it; and, after
+    ``back_meet``, the adjoint of ``slide``, added there."""
     R, vec, World, Adjoint, get_x, get_v, give = kit.R, kit.vec, kit.World, kit.Adjoint, kit.get_x, kit.get_v, kit.give
     pb, ps, pt, pg, pz = (kit.vectors[s] for s in ("body", "surface", "touch", "grip", "slip"))
     body, surface, touch, settle, grip, slip = (getattr(kit.laws, s) for s in ("body", "surface", "touch", "settle", "grip", "slip"))
     give_body, give_surface, give_touch, give_grip, give_slip = (kit.give_all[s] for s in ("body", "surface", "touch", "grip", "slip"))
-    touching = kit.touching
+    touching, slipping = kit.touching, kit.slipping
     whereabouts, corner = point_functions(kit)
+    pulled, lag = hand_functions(kit)
 
     @wp.func
     def body_at(x: vec, v: vec, home: vec, m: R, p: pb, g: vec):
@@ -120,37 +158,43 @@ def make_back_outside(kit):
         return wp.dot(g, grip(apart, rate, m, p))
 
     @wp.func
-    def back_firm(w: World, a: Adjoint, slot: int, q: int, apart: vec, rate: vec, m: R, dt: R, p: pg, p_slip: pz, g: vec):
-        """Adjoint of the lag behind a hand and of its rate."""
-        hx, hv, _hm, hp, _hg = wp.grad(grip_dot)(apart, rate, m, p, g * w.held[q])
-        give(a.held, q, wp.dot(g, grip(apart, rate, m, p)))
+    def slip_dot(apart: vec, pull: vec, m: R, slid: vec, dt: R, p: pz, g: vec):
+        return wp.dot(g, slip(apart, pull, m, slid, dt, p))
+
+    @wp.func
+    def back_slide(w: World, a: Adjoint, slot: int, h: int, dt: R, p_grip: pg, p_slip: pz):
+        first = w.hand_row[h]
+        last = w.hand_row[h + 1]
+        g = a.slid[h]
+        before = vec()  # adjoint of what had slid before
+        for e in range(first, last):  # forces see what has slid by then, less it, and how fast it went there
+            q = w.hand_of[e]
+            pace = a.met_points[q, 3] / dt
+            g = g - a.met_points[q, 2] - pace
+            before += pace
+        slid = w.slid[slot, h]
+        apart, pull, mass = pulled(w, slot, h, slid, p_grip)
+        g_apart, g_pull, g_mass, g_slid, _dt, g_p, _g = wp.grad(slip_dot)(apart, pull, mass, slid, dt, p_slip, g)
         if a.wants_table > 0:
-            give_grip(a.grip, q, hp)
-        return hx, hv
+            give_slip(a.slip, w.hand_of[first], g_p)
+        before += g_slid
+        for e in range(first, last):
+            q = w.hand_of[e]
+            own = lag(w, slot, q) - slid
+            m = w.carries[q]
+            hx, _hv, _hm, hp, _hg = wp.grad(grip_dot)(own, vec(), m, p_grip, g_pull * w.held[q])
+            by_held = wp.dot(g_pull, grip(own, vec(), m, p_grip)) + m * (wp.dot(g_apart, own - apart) / mass + g_mass)
+            give(a.held, q, by_held)
+            if a.wants_table > 0:
+                give_grip(a.grip, q, hp)
+            hx = hx + g_apart * (m * w.held[q] / mass)
+            a.met_points[q, 0] = a.met_points[q, 0] - hx
+            a.met_points[q, 2] = a.met_points[q, 2] + hx
+            before = before - hx
+        a.slid[h] = before
 
     @wp.func
-    def slip_dot(lag: vec, rate: vec, m: R, before: vec, dt: R, p: pg, p_slip: pz, g: vec, on_slid: vec):
-        apart = lag - before
-        after = slip(apart, grip(apart, vec(), m, p), m, before, dt, p_slip)
-        moved = after - before
-        return wp.dot(g, grip(apart - moved, rate - moved / dt, m, p)) + wp.dot(on_slid, after)
-
-    @wp.func
-    def back_sliding(w: World, a: Adjoint, slot: int, q: int, lag: vec, rate: vec, m: R, dt: R, p: pg, p_slip: pz, g: vec):
-        """The same where hands let slip."""
-        before = w.slid[slot, q]
-        hx, hv, _hm, hq, _dt, hp, hz, _hg, _hgq = wp.grad(slip_dot)(lag, rate, m, before, dt, p, p_slip, g * w.held[q], a.slid[q])
-        give(a.held, q, slip_dot(lag, rate, m, before, dt, p, p_slip, g, vec()))
-        a.slid[q] = hq
-        if a.wants_table > 0:
-            give_grip(a.grip, q, hp)
-            give_slip(a.slip, q, hz)
-        return hx, hv
-
-    back_grip = back_sliding if kit.slipping else back_firm
-
-    @wp.func
-    def back_meet(w: World, a: Adjoint, slot: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg, p_slip: pz):
+    def back_meet(w: World, a: Adjoint, slot: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg):
         x, v = whereabouts(w, slot, q)
         g = vec()
         for k in range(w.point_node.shape[1]):
@@ -179,7 +223,14 @@ def make_back_outside(kit):
             n = slot * w.nodes + o
             apart = get_x(w.state, n) - x
             rate = get_v(w.state, n) - v
-            hx, hv = back_grip(w, a, slot, q, apart, rate, m, dt, p_grip, p_slip, g)
+            if wp.static(slipping):
+                slid = w.slid[slot + 1, w.hand[q]]
+                apart = apart - slid
+                rate = rate - (slid - w.slid[slot, w.hand[q]]) / dt
+            hx, hv, _hm, hp, _hg = wp.grad(grip_dot)(apart, rate, m, p_grip, g * w.held[q])
+            give(a.held, q, wp.dot(g, grip(apart, rate, m, p_grip)))
+            if a.wants_table > 0:
+                give_grip(a.grip, q, hp)
             gx -= hx
             gv -= hv
             a.met_points[q, 2] = hx
@@ -201,7 +252,7 @@ def make_back_outside(kit):
             gv += a.met_points[q, first + 1] * weight
         return gx, gv
 
-    return back_meet, remet
+    return back_meet, remet, back_slide
 
 
 def carried_masses(points, masses) -> np.ndarray:
@@ -248,4 +299,23 @@ def assemble_points(systems, starts, controllers, count: int) -> tuple[dict[str,
         carries=joined([carried_masses(p, s.masses) for s, p, _, _ in here]),
     )
     inputs = dict(load=joined([p.masses for _, p, _, _ in here]), held=joined([p.held for _, p, _, _ in here]))
-    return constants, inputs | dict(anchor=np.zeros((len(nodes), 3)), slid=np.zeros((len(nodes), 3)))
+    hands, hand_starts = assemble_hands(systems)
+    return constants | hands, inputs | dict(anchor=np.zeros((len(nodes), 3)), slid=np.zeros((hand_starts[-1], 3)))
+
+
+def assemble_hands(systems) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """(which points each hand holds, as the kernels read it; (B+1,) the first hand of each system)."""
+    found, starts = [np.zeros(0, int)], [0]
+    for s in systems:
+        if s.points is None:
+            starts.append(starts[-1])
+            continue
+        own = np.append(s.hands, -1)[s.points.holds]
+        names = np.unique(own[own >= 0])
+        found.append(np.where(own >= 0, starts[-1] + np.searchsorted(names, own), -1))
+        starts.append(starts[-1] + len(names))
+    hand = np.concatenate(found)
+    held = np.flatnonzero(hand >= 0)
+    of = held[np.argsort(hand[held], kind="stable")]
+    row = np.searchsorted(hand[of], np.arange(starts[-1] + 1))
+    return dict(hand_start=np.array(starts), hand_row=row, hand_of=of, hand=hand), np.array(starts)

@@ -33,6 +33,7 @@ class System:
     stiffness    (E,) N, force per unit strain
     controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
     grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
+    hands        (C,) int: controllers of one number are one hand, out of which what they hold slides as one; each is one unless given
     terms        the physics, each name and each parameter name once
     home         (M, 3) m, where particles were in the frame 0 that parameters speak of, if another recording's; the start unless given
     hinges       (H, 3) int: nodes in a row (before, at, after), numbered like those of springs; only hinge terms read what follows
@@ -57,6 +58,7 @@ class System:
     masses: np.ndarray = FILLED
     rest: np.ndarray = FILLED
     grips: np.ndarray = FILLED
+    hands: np.ndarray = FILLED
     hinges: np.ndarray = FILLED
     natural: np.ndarray = FILLED
     span: np.ndarray = FILLED
@@ -102,6 +104,8 @@ class System:
         if not frames:
             raise ValueError(f"controllers must have at least one frame, got shape {self.controllers.shape}")
         own("grips", hands, whole=True, default=np.full(hands, -1))
+        own("hands", hands, whole=True, default=np.arange(hands))
+        refuse(self.hands < 0, lambda c: f"hands must be numbers >= 0, got {self.hands[c]} at controller {c}")
         outside = (self.grips < -1) | (self.grips >= count)
         refuse(outside, lambda c: f"grips must be -1 or one of the {count} particles, got {self.grips[c]} at controller {c}")
         held, times = np.unique(self.grips[self.grips >= 0], return_counts=True)

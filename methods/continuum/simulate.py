@@ -72,6 +72,7 @@ class Simulator:
             velocities=FILLED if scene.velocities is None else scene.velocities,
             controllers=scene.paths()[:1],
             grips=np.concatenate([driven, soft, fastened]),
+            hands=np.concatenate([len(scene.hands) + np.arange(len(driven)), grasp.hand, scene.fastened[1]]),
             points=replace(scene.points, holds=holds, held=held),
             terms=[*terms, *map(scene.tell, self.extra)],
             name=scene.name,

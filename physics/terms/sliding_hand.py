@@ -26,9 +26,9 @@ def slide(apart: Any, pull: Any, m: Any, slid: Any, dt: Any, p: Any, o: int):
 class SlidingHand(SlipTerm):
     """q' = c (a / b - s) a / |a|, where a held mass is pulled by a > s b, and else 0: Bingham's slider with a viscous rate.
 
-    b is by what the hands pull held masses while they carry all of the body at rest: they let slip above s times its weight, by c [m/s] for
-    each further weight. q' is integrated exactly while the lag stays, and ends where the pull is s b. The room's axes count: a hand that
-    turns leaves behind what slid.
+    b is by what hands pull held masses while they carry all of the body at rest: where they hold alike, they let slip above s times its
+    weight in all, by c [m/s] for each further weight. q' is integrated exactly while the lag stays, and ends where the pull is s b. The
+    room's axes count: a hand that turns leaves behind what slid.
     """
 
     name = "sliding_hand"

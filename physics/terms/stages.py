@@ -259,10 +259,10 @@ class GripTerm(HardTerm):
 
 
 class SlipTerm(KernelTerm):
-    """How far a point has slid in the hand that holds it after a substep [m], 0 in frame 0.
+    """How far what a hand holds has slid in it after a substep [m], 0 in frame 0; all of it slides as one.
 
-    It lags ``apart`` [m] behind its hand beside the ``slid`` [m] before, and is pulled by as much as ``pull`` [N] for that. What it tends
-    to must not be overshot however long dt is.
+    It lags ``apart`` [m] behind the hand beside the ``slid`` [m] before, the mean over the m [kg] that are held, and is pulled by ``pull``
+    [N] in all for that. What it tends to must not be overshot however long dt is.
     """
 
     stage = "slip"
