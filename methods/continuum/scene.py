@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...datasets.scenario import Observed, Plane
+from ...physics.outside import carried_masses
 from ...physics.points import Points
 from ...physics.terms.base import Term
 from .bodies import Body
@@ -192,7 +193,8 @@ class Scene:
     @property
     def burden(self) -> float | None:
         """m/s^2, by which soft hands pull what they hold while they carry all of the body at rest; None where none does."""
-        held = self.firmness(np.zeros((len(self.hands), 3)), np.ones(len(self.hands))) @ self.points.masses[self.grasp.points]
+        carries = carried_masses(self.points, self.points.node_masses(len(self.body.positions)))  # which springs to hands count by
+        held = self.firmness(np.zeros((len(self.hands), 3)), np.ones(len(self.hands))) @ carries[self.grasp.points]
         return float(np.linalg.norm(self.gravity) * self.points.masses.sum() / held) if held > 0 else None
 
     def tell(self, term: Term) -> Term:
