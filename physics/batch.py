@@ -29,7 +29,7 @@ from .sheets import assemble_sheets
 from .side_by_side import COMPILER, launch, side_by_side
 from .stability import stable_rounds, stable_stepping
 from .system import System
-from .terms.stages import EASED, SHEETS
+from .terms.stages import EASED, POINTS, SHEETS
 
 __all__ = ["Batch", "Carried", "Inputs", "Rollout", "first_bad"]
 
@@ -454,7 +454,7 @@ def _have_points(systems, laws):
     have = [s.points is not None for s in systems]
     if any(have) != all(have):
         raise ValueError(f"all systems of a batch must have points or none, but system {have.index(not have[0])} is unlike system 0")
-    needing = [t.name for stage in ("surface", "touch", "grip", "slip") for t, _ in laws.stage(stage)]
+    needing = [t.name for stage in POINTS for t, _ in laws.stage(stage)]
     if needing and not have[0]:
         raise ValueError(f"a system with the term {needing[0]} must have material points")
     if have[0] and laws.stage("move"):

@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from .cell_lanes import ROWS, abreast
 from .contacts import seek
 from .layer_search import Pairs, seek_layers
-from .terms.stages import CELLS, SHEETS, STAGED
+from .terms.stages import CELLS, POINTS, SHEETS, STAGED
 
 __all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
 
@@ -255,7 +255,7 @@ class Adjoint(Carrier):
         self.counts["layer"] = batch.node_count
         panels, folds = batch.panel_starts[-1], batch.fold_count
         self.counts |= dict.fromkeys(SHEETS, panels)
-        self.counts |= dict.fromkeys(("surface", "touch", "grip", "slip", *(["body"] if batch.pointed else [])), len(anchor))
+        self.counts |= dict.fromkeys((*POINTS, *(["body"] if batch.pointed else [])), len(anchor))
         stages = {s: zeros(batch.laws.width(s), count=self.counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure", "load", "held")}
         rods = dict(bent=zeros(8, 3, count=hinges), wrung=zeros(5, 3, count=hinges), turned=zeros(segments, 5, 3, count=2))

@@ -30,7 +30,7 @@ from ...physics.terms import (
     SoftGrip,
     Springs,
 )
-from ...physics.terms.stages import CELLS, SHEETS
+from ...physics.terms.stages import CELLS, POINTS, SHEETS
 from ...physics.topology import controller_springs, object_springs, rope_hinges, sheet_hinges
 from .checking import Skipped, require
 
@@ -91,7 +91,6 @@ VALUES = dict(
     layer_thickness=0.008,
     layer_friction=0.4,
 )
-POINTS = ("surface", "touch", "grip", "slip")  # stages at points of the material
 # terms that only change what another one reads, or resist what only another one does: a rope twists where its natural curvature asks for it
 READ_BY = {"natural_curvature": Bending, "torsion": Bending}
 REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035

@@ -24,6 +24,7 @@ __all__ = [
     "ARGUMENTS",
     "CELLS",
     "EASED",
+    "POINTS",
     "SHEETS",
     "STAGED",
     "STAGES",
@@ -332,4 +333,5 @@ STAGED = tuple(c.stage for c in _STAGED)  # whose laws are in the kernels
 CELLS = tuple(c.stage for c in _CELLS)  # of solids: what they do they do in a grid's cells
 SHEETS = tuple(c.stage for c in _SHEETS)
 EASED = tuple(c.stage for c in _EASED)  # in rounds
+POINTS = tuple(c.stage for c in _POINTS[1:])  # at material points alone
 ARGUMENTS = {c.stage: c.given for c in _STAGED}
