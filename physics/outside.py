@@ -310,7 +310,7 @@ def assemble_hands(systems) -> tuple[dict[str, np.ndarray], np.ndarray]:
         if s.points is None:
             starts.append(starts[-1])
             continue
-        own = np.append(s.hands, -1)[s.points.holds]
+        own = np.append(np.arange(s.controllers.shape[1]) if s.hands is None else s.hands, -1)[s.points.holds]
         names = np.unique(own[own >= 0])
         found.append(np.where(own >= 0, starts[-1] + np.searchsorted(names, own), -1))
         starts.append(starts[-1] + len(names))

@@ -58,7 +58,7 @@ class System:
     masses: np.ndarray = FILLED
     rest: np.ndarray = FILLED
     grips: np.ndarray = FILLED
-    hands: np.ndarray = FILLED
+    hands: np.ndarray | None = None
     hinges: np.ndarray = FILLED
     natural: np.ndarray = FILLED
     span: np.ndarray = FILLED
@@ -104,8 +104,8 @@ class System:
         if not frames:
             raise ValueError(f"controllers must have at least one frame, got shape {self.controllers.shape}")
         own("grips", hands, whole=True, default=np.full(hands, -1))
-        own("hands", hands, whole=True, default=np.arange(hands))
-        refuse(self.hands < 0, lambda c: f"hands must be numbers >= 0, got {self.hands[c]} at controller {c}")
+        if self.hands is not None:
+            own("hands", hands, whole=True)
         outside = (self.grips < -1) | (self.grips >= count)
         refuse(outside, lambda c: f"grips must be -1 or one of the {count} particles, got {self.grips[c]} at controller {c}")
         held, times = np.unique(self.grips[self.grips >= 0], return_counts=True)

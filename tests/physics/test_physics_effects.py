@@ -36,7 +36,7 @@ from twinbench.physics.terms import (
 from twinbench.physics.terms.directional_ground import DirectionalGround
 from twinbench.physics.terms.mass_field import MassField
 from twinbench.physics.terms.soft_ground import SoftGround
-from twinbench.physics.terms.stages import CELLS
+from twinbench.physics.terms.stages import CELLS, POINTS
 from twinbench.physics.terms.stiffness_level import StiffnessLevel
 from twinbench.physics.trials import STILL, TABLE, G, body, run, thrown
 
@@ -542,7 +542,7 @@ def test_effects_have_names_that_are_known():
 
 def test_all_effects_at_once():
     # any two may be combined, in one list and with uneven stiffness: of no size they change nothing, at a tenth of the typical one all act
-    kinds = [t for t in EFFECTS if t is not SelfCollision and t.stage != "move" and t.stage not in CELLS] + [StiffnessField]
+    kinds = [t for t in EFFECTS if t is not SelfCollision and t.stage != "move" and t.stage not in (*CELLS, *POINTS)] + [StiffnessField]
     plain = thrown(GravityTilt, None, roped=True)
     together = replace(plain, terms=[*plain.terms, *(k() for k in kinds)]).with_values(adhesion_normal_z=1.0)
     typical = {name: 0.1 * value for k in kinds if k.effect for name, value in k.effect.typical.items()}
