@@ -85,6 +85,14 @@ class Laws:
         )
 
 
+def _only(laws, stage, what) -> Any:
+    """The term of a ``stage`` that takes one, or None. Raises ValueError naming ``what`` a system can have one of."""
+    found = [term for term, _ in laws.stage(stage)]
+    if len(found) > 1:
+        raise ValueError(f"a system can have one {what}, got {', '.join(t.name for t in found)}")
+    return found[0] if found else None
+
+
 def _strand(laws):
     @wp.func
     def total(length: Any, rate: Any, rest: Any, stiffness: Any, link: Any, middle: Any, t: Any, q: Any, p: Any):
@@ -125,12 +133,10 @@ def _plus_evolve(before, evolve, index, offset):
 
 
 def _touch(laws):
-    found = laws.stage("touch")
-    if len(found) > 1:
-        raise ValueError(f"a system can have one term that touches its skin, got {', '.join(t.name for t, _ in found)}")
-    if not found:
+    term = _only(laws, "touch", "term that touches its skin")
+    if term is None:
         return None, None
-    law, evolve = found[0][0].law, found[0][0].evolve
+    law, evolve = term.law, term.evolve
 
     @wp.func
     def touch(x: Any, v: Any, m: Any, q: Any, p: Any):
@@ -144,12 +150,10 @@ def _touch(laws):
 
 
 def _slip(laws):
-    found = laws.stage("slip")
-    if len(found) > 1:
-        raise ValueError(f"a system can have one term by which hands let slip, got {', '.join(t.name for t, _ in found)}")
-    if not found:
+    term = _only(laws, "slip", "term by which hands let slip")
+    if term is None:
         return None
-    law = found[0][0].law
+    law = term.law
 
     @wp.func
     def slip(apart: Any, pull: Any, m: Any, slid: Any, dt: Any, p: Any):
@@ -177,11 +181,9 @@ def _then_velocity(before, law, offset):
 
 
 def _move(laws):
-    found = laws.stage("move")
-    if len(found) > 1:
-        raise ValueError(f"a system can have one term that moves particles, got {', '.join(t.name for t, _ in found)}")
-    if found:
-        law = found[0][0].law
+    term = _only(laws, "move", "term that moves particles")
+    if term is not None:
+        law = term.law
 
         @wp.func
         def move(x: Any, v: Any, dt: Any, p: Any):
@@ -196,12 +198,10 @@ def _move(laws):
 
 
 def _contact(laws):
-    found = laws.stage("contact")
-    if len(found) > 1:
-        raise ValueError(f"a system can have one contact term, got {', '.join(t.name for t, _ in found)}")
-    if not found:
+    term = _only(laws, "contact", "contact term")
+    if term is None:
         return None
-    law = found[0][0].law
+    law = term.law
 
     @wp.func
     def contact(xi: Any, xj: Any, vi: Any, vj: Any, mi: Any, mj: Any, p: Any):
@@ -211,6 +211,5 @@ def _contact(laws):
 
 
 def _layer(laws):
-    if len(found := laws.stage("layer")) > 1:
-        raise ValueError(f"a system can have one term of layers that meet, got {', '.join(t.name for t, _ in found)}")
+    _only(laws, "layer", "term of layers that meet")
     return summed(laws, "layer")

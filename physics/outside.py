@@ -299,12 +299,12 @@ def assemble_points(systems, starts, controllers, count: int) -> tuple[dict[str,
         carries=joined([carried_masses(p, s.masses) for s, p, _, _ in here]),
     )
     inputs = dict(load=joined([p.masses for _, p, _, _ in here]), held=joined([p.held for _, p, _, _ in here]))
-    hands, hand_starts = assemble_hands(systems)
-    return constants | hands, inputs | dict(anchor=np.zeros((len(nodes), 3)), slid=np.zeros((hand_starts[-1], 3)))
+    hands = assemble_hands(systems)
+    return constants | hands, inputs | dict(anchor=np.zeros((len(nodes), 3)), slid=np.zeros((hands["hand_start"][-1], 3)))
 
 
-def assemble_hands(systems) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """(which points each hand holds, as the kernels read it; (B+1,) the first hand of each system)."""
+def assemble_hands(systems) -> dict[str, np.ndarray]:
+    """Which points each hand holds, as the kernels read it (``kernels.World``)."""
     found, starts = [np.zeros(0, int)], [0]
     for s in systems:
         if s.points is None:
@@ -318,4 +318,4 @@ def assemble_hands(systems) -> tuple[dict[str, np.ndarray], np.ndarray]:
     held = np.flatnonzero(hand >= 0)
     of = held[np.argsort(hand[held], kind="stable")]
     row = np.searchsorted(hand[of], np.arange(starts[-1] + 1))
-    return dict(hand_start=np.array(starts), hand_row=row, hand_of=of, hand=hand), np.array(starts)
+    return dict(hand_start=np.array(starts), hand_row=row, hand_of=of, hand=hand)

@@ -106,6 +106,8 @@ class System:
         own("grips", hands, whole=True, default=np.full(hands, -1))
         if self.hands is not None:
             own("hands", hands, whole=True)
+            numbers = self.hands
+            refuse(numbers < 0, lambda c: f"hands must be numbers >= 0, got {numbers[c]} at controller {c}")
         outside = (self.grips < -1) | (self.grips >= count)
         refuse(outside, lambda c: f"grips must be -1 or one of the {count} particles, got {self.grips[c]} at controller {c}")
         held, times = np.unique(self.grips[self.grips >= 0], return_counts=True)

@@ -123,10 +123,15 @@ def thrown(term, share, table=True, *, roped=None):
     return body(x, *extra, **given)
 
 
+def bar():
+    """The cells of a bar of foam, and (N, 3) m, places evenly inside."""
+    samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.005 for n in (16, 6, 6)], indexing="ij"), -1).reshape(-1, 3)
+    return embed(samples, 0.08 * 0.03 * 0.03, 0.02, axes=np.eye(3)), samples
+
+
 def foam(term, share, table=True):
     """A bar of foam between two hands that pull, press, bend and twist it, with ``term`` as in ``thrown``; ``table``: far."""
-    samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.005 for n in (16, 6, 6)], indexing="ij"), -1).reshape(-1, 3)
-    grid = embed(samples, 0.08 * 0.03 * 0.03, 0.02, axes=np.eye(3))
+    grid, _ = bar()
     rest, path = grid.positions, np.linspace(0, 1, 11)[:, None, None]
     left = np.flatnonzero(rest[:, 0] < rest[:, 0].min() + 1e-6)
     right = np.flatnonzero(rest[:, 0] > rest[:, 0].max() - 1e-6)
@@ -139,8 +144,7 @@ def foam(term, share, table=True):
 
 def carried(term, share):
     """A bar of foam that a hand shakes by one end and lets slip above half of its weight, with a ``term`` as in ``thrown``."""
-    samples = np.stack(np.meshgrid(*[(np.arange(n) + 0.5) * 0.005 for n in (16, 6, 6)], indexing="ij"), -1).reshape(-1, 3)
-    grid, path = embed(samples, 0.08 * 0.03 * 0.03, 0.02, axes=np.eye(3)), np.linspace(0, 1, 11)[:, None, None]
+    (grid, samples), path = bar(), np.linspace(0, 1, 11)[:, None, None]
     points = material_points(grid, 100.0, samples[samples[:, 2] > 0.025], 0.08 * 0.03)
     held = np.flatnonzero((points.home[:, 0] < 0.02) & (points.masses > 0))
     points.holds[held], points.held[held] = np.arange(len(held)), 1.0

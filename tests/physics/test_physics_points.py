@@ -207,7 +207,7 @@ def test_what_a_hand_holds_slides_as_one():
 
 
 def test_what_slid_out_of_a_hand_does_not_come_back():
-    # gravity is turned off by turning it round: the body is back where it slid to, which no spring remembers
+    # gravity is turned off: the body stays where it slid to
     slide = SlidingHand({"slide_speed": 0.05, "slide_weights": 0.6, "slide_burden": 9.8})
     one = block(Gravity({"gravity_z": -9.8}), SoftGrip({"grip_rate": 60.0, "grip_damping": 1.0}), slide, hold=lambda h: h[:, 0] < np.inf)
     one.points.held[one.points.masses == 0] = 0.0
@@ -222,15 +222,24 @@ def test_what_slid_out_of_a_hand_does_not_come_back():
     np.testing.assert_allclose(moved[1] - moved[0], gone.numpy(), atol=1e-6)
 
 
-@pytest.fixture(scope="module")
-def sliding():
-    """The same of two bodies that slide out of their hands, some way from where these took hold of them."""
-    batch = Batch([gradients.solid(SlidingHand, s) for s in (0, 1)], fps=30, substeps=4 * gradients.SUBSTEPS, double=True, workers=1)
+def graded(term, memory, scale):
+    """A batch of two bodies that hands pull over a table, with ``term``, every input asking for a gradient, and the gradients there.
+
+    What they remember as ``memory`` is some way of ``scale`` m at first.
+    """
+    batch = Batch([gradients.solid(term, s) for s in (0, 1)], fps=30, substeps=4 * gradients.SUBSTEPS, double=True, workers=1)
     generator = torch.Generator().manual_seed(3)
-    batch.inputs.slid = torch.randn(batch.inputs.slid.shape, generator=generator, dtype=torch.float64) * 1e-4
+    begun = torch.randn(getattr(batch.inputs, memory).shape, generator=generator, dtype=torch.float64) * scale
+    setattr(batch.inputs, memory, begun)
     inputs = gradients.leaves(batch)
     gradients.loss(batch, inputs).backward()
     return batch, inputs
+
+
+@pytest.fixture(scope="module")
+def sliding():
+    """Bodies that slide out of their hands, some way from where these took hold of them."""
+    return graded(SlidingHand, "slid", 1e-4)
 
 
 @pytest.mark.parametrize("name", ["x", "v", "mass", "path", "held", "slid"])
@@ -244,13 +253,7 @@ def test_gradients_with_hands_that_let_slip_are_those_of_differences(sliding, na
 
 @pytest.fixture(scope="module")
 def pulled():
-    """A batch of two bodies that hands pull over a table, with every input asking for a gradient, and the gradients there."""
-    batch = Batch([gradients.solid(SoftGrip, s) for s in (0, 1)], fps=30, substeps=4 * gradients.SUBSTEPS, double=True, workers=1)
-    generator = torch.Generator().manual_seed(3)
-    batch.inputs.anchor = torch.randn(batch.inputs.anchor.shape, generator=generator, dtype=torch.float64) * 1e-5
-    inputs = gradients.leaves(batch)
-    gradients.loss(batch, inputs).backward()
-    return batch, inputs
+    return graded(SoftGrip, "anchor", 1e-5)
 
 
 @pytest.mark.parametrize("name", ["x", "v", "mass", "path", "load", "held", "anchor"])
@@ -312,6 +315,8 @@ def test_bad_points_are_refused():
     one = block()
     with pytest.raises(ValueError, match="holds must be -1 or one of the 0 controllers"):
         replace(one, points=replace(one.points, holds=np.zeros(len(one.points.holds), int)))
+    with pytest.raises(ValueError, match="hands must be numbers >= 0, got -1 at controller 0"):
+        replace(one, controllers=np.zeros((2, 1, 3)), grips=[-1], hands=[-1])
     with pytest.raises(ValueError, match="weights must sum to 1"):
         replace(one, points=replace(one.points, weights=2 * one.points.weights))
     with pytest.raises(ValueError, match="masses of points must be >= 0"):
