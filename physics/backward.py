@@ -157,7 +157,7 @@ def make_backward(kit):
                         round += 1
                         barrier(w.counters, team, blocks, round)
                     for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
-                        back_panel(w, a, k, b, q)
+                        back_panel(w, a, k, b, q, dt)
                     round += 1
                     barrier(w.counters, team, blocks, round)
                     if wp.static(creasing):

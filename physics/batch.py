@@ -108,6 +108,7 @@ class Batch:
         self.pointed = _have_points(systems, self.laws)
         self.layered, self.draped = bool(self.laws.stage("layer")), any(self.laws.stage(s) for s in SHEETS)
         self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
+        self.sheets_remembering = bool(self.laws.stage("sheet_flow") or self.laws.stage("sheet_branch"))
         if self.easing and self.colliding:
             raise ValueError("a system can have terms that are viscous in a solid or a sheet, or one of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
@@ -193,6 +194,7 @@ class Batch:
         solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
         sheets, drape = assemble_sheets(systems, start, count)
         self.panel_starts, self.fold_count = sheets["panel_start"], len(sheets["fold"])
+        self.panel_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.panel_starts))).long()
         self._assemble_layers(mass, systems, start)
         real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
         self.constants |= {k: self._real(v) for k, v in {**real, **solid, **drape}.items()}
@@ -222,6 +224,7 @@ class Batch:
             table=self._real(table),
             memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
             cell_memory=self._real(np.zeros((self.cell_starts[-1], 8, self.laws.cell_memories))),
+            sheet_memory=self._real(np.zeros((self.panel_starts[-1], self.laws.sheet_memories))),
             **{k: self._real(v) for k, v in {**hinged, **outside}.items()},
         )
 
@@ -424,6 +427,8 @@ class Batch:
             kept += len(self.constants["spring"]) * self.laws.memories
         if self.cells_remembering:
             kept += self.inputs.cell_memory.numel()
+        if self.sheets_remembering:
+            kept += self.inputs.sheet_memory.numel()
         return kept * self.dtype.itemsize
 
     def forward(self, world: World, frame: int, stretch: Stretch) -> None:

@@ -240,7 +240,7 @@ def make_forward(kit):
                         round += 1
                         barrier(w.counters, team, blocks, round)
                     for q in range(w.panel_start[b] + lane, w.panel_start[b + 1], width):
-                        panel(w, here, b, q)
+                        panel(w, here, there, b, q, dt)
                     if wp.static(half and creasing):
                         for h in range(w.fold_start[b], w.fold_start[b + 1]):
                             straighten(w, h)

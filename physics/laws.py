@@ -6,6 +6,7 @@ from typing import Any
 
 import warp as wp
 
+from .fabrics import fuse_fabric
 from .materials import fuse_material
 from .sums import summed
 from .terms.base import Term
@@ -56,6 +57,11 @@ class Laws:
         """Length of a material point's memory vector: nine numbers for each flow and branch term, at least 1."""
         return max(1, 9 * (len(self.stage("flow")) + len(self.stage("branch"))))
 
+    @property
+    def sheet_memories(self) -> int:
+        """Length of a triangle's memory vector: six numbers for each of its flow and branch terms, at least 1."""
+        return max(1, 6 * (len(self.stage("sheet_flow")) + len(self.stage("sheet_branch"))))
+
     def fuse(self) -> SimpleNamespace:
         """One Warp function, generic in its precision, for each stage in the kernels and for "evolve"; contact is None without its term."""
         return SimpleNamespace(
@@ -69,6 +75,7 @@ class Laws:
             **fuse_material(self),
             membrane=summed(self, "membrane"),
             plate=summed(self, "plate"),
+            **fuse_fabric(self),
             viscous_membrane=summed(self, "viscous_membrane"),
             viscous_plate=summed(self, "viscous_plate"),
             layer=_layer(self),

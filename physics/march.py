@@ -29,7 +29,8 @@ class Inputs:
     cell_memory (cells, 8, numbers): what material points remember, nine numbers for each flow and branch term (``physics.materials``),
     natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains,
     load (points,) kg, held (points,): how firmly hands hold them, anchor (points, 3) m: what they remember of the ground at the start,
-    slid (hands, 3) m: how far what they hold has slid by then
+    slid (hands, 3) m: how far what they hold has slid by then,
+    sheet_memory (triangles, numbers): what triangles remember, six numbers for each flow and branch term of sheets (``physics.fabrics``)
     """
 
     x: torch.Tensor
@@ -48,6 +49,7 @@ class Inputs:
     held: torch.Tensor
     anchor: torch.Tensor
     slid: torch.Tensor
+    sheet_memory: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class Carried:
     cell_memory  (cells, 8, numbers) of the material points of solids
     anchor     (points, 3) of the ground
     slid       (hands, 3) of what hands hold
+    sheet_memory  (triangles, numbers) of sheets
     """
 
     memory: torch.Tensor
@@ -66,6 +69,7 @@ class Carried:
     cell_memory: torch.Tensor
     anchor: torch.Tensor
     slid: torch.Tensor
+    sheet_memory: torch.Tensor
 
     @classmethod
     def of(cls, inputs: Inputs) -> Carried:
@@ -132,7 +136,7 @@ class World(Carrier):
     ``layers`` are ``Pairs``, or None.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, near, layers, slots, out):
+    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, sheet_memory, near, layers, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
@@ -154,6 +158,8 @@ class World(Carrier):
         self.memories = memories
         self.cell_memories = empty(slots if batch.cells_remembering else 0, *cell_memory.shape)
         self.cell_memories[:1] = cell_memory
+        self.sheet_memories = empty(slots if batch.sheets_remembering else 0, *sheet_memory.shape)
+        self.sheet_memories[:1] = sheet_memory
         kept = slots if slots > 2 else 1
         met = slots if batch.colliding else 1
         rounds = batch.constants["ease"].shape[1]
@@ -177,6 +183,7 @@ class World(Carrier):
                     state=state.view(-1),
                     memory=memories,
                     cell_memory=self.cell_memories,
+                    sheet_memory=self.sheet_memories,
                     pushed=empty(kept, n, 3),
                     out=out,
                     force=torch.zeros_like(x),
@@ -194,13 +201,14 @@ class World(Carrier):
         self.struct.nodes = n
         self.pair(layers or Pairs.none(batch))
 
-    def go_on(self, x, v, memory, directors, cell_memory, anchor, slid, out) -> None:
+    def go_on(self, x, v, memory, directors, cell_memory, anchor, slid, sheet_memory, out) -> None:
         """Start again, in slot 0, at the tensors of ``STATE``."""
         self.states[0, :, 0:3], self.states[0, :, 4:7] = x, v
         self.ways[0], self.anchors[0], self.slides[0], self.memory = directors, anchor, slid, memory
         if self._batch.remembering:
             self.memories[0] = memory[self._batch.constants["spring"].long()]
         self.cell_memories[:1] = cell_memory
+        self.sheet_memories[:1] = sheet_memory
         self.tensors["pair_wake"].zero_()
         self.set(out=out)
 
@@ -233,7 +241,10 @@ class World(Carrier):
         ways = at(self.ways, batch.rope_system)
         anchors, slides = at(self.anchors, batch.point_system), at(self.slides, batch.hand_system)
         cell_memory = at(self.cell_memories, batch.cell_system) if batch.cells_remembering else torch.zeros_like(batch.inputs.cell_memory)
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors, slides
+        sheet_memory = (
+            at(self.sheet_memories, batch.panel_system) if batch.sheets_remembering else torch.zeros_like(batch.inputs.sheet_memory)
+        )
+        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors, slides, sheet_memory
 
 
 class Adjoint(Carrier):
@@ -242,7 +253,7 @@ class Adjoint(Carrier):
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, out, wanted):
+    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, sheet_memory, out, wanted):
         self.batch, self.memory = batch, memory
         hinges, segments = len(values["flexure"]), len(directors)
 
@@ -273,6 +284,7 @@ class Adjoint(Carrier):
                 **faced,
                 **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), gain=zeros(3), cell_memory=cell_memory.contiguous().clone()),
                 **dict(paneled=zeros(6, 3, count=panels), panel_angle=zeros(3, 2, count=panels)),
+                sheet_memory=sheet_memory.contiguous().clone(),
                 **dict(angle=zeros(count=folds), folded=zeros(8, 3, count=folds)),
                 **dict(anchor=anchor.contiguous().clone(), slid=slid.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
             ),
@@ -315,6 +327,7 @@ class Adjoint(Carrier):
             "held",
             "anchor",
             "slid",
+            "sheet_memory",
         )
         return {"memory": memory, "table": table, **{k: t[k] for k in plain}}
 

@@ -7,10 +7,13 @@ motion; a fold passes on what it gets by its angle and its change.
 
 Damping does the same with rates in the place of strains and angles: those of the velocities before a round (``rounds``), at places that
 stay.
+
+Where a sheet remembers (``fabrics``), what a triangle does is done by the memory after the substep, and that passes on what it gets.
 """
 
 import warp as wp
 
+from .fabrics import make_fabric
 from .terms.stages import SHEETS
 
 __all__ = ["make_back_shells", "make_shells"]
@@ -121,10 +124,12 @@ def make_shells(kit):
 
     A lone thread does not gather: what a triangle does to its corners it adds to ``force`` at once, and ``straighten`` what a fold does.
     """
-    vec, World, half = kit.vec, kit.World, kit.half
+    R, vec, World, half = kit.R, kit.vec, kit.World, kit.half
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
-    load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
+    load_membrane, load_plate, load_flow, load_branch, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
+    remembering = kit.sheets_remembering
+    fabric, fold_fabric = make_fabric(kit)
     measure, along, curvature, _tangents, placed, moving, spread, strained, changed = shell_functions(kit)[3:]
 
     @wp.func
@@ -159,11 +164,24 @@ def make_shells(kit):
         w.slope[4 * h + 3] = gd
 
     @wp.func
-    def panel(w: World, slot: int, b: int, f: int):
+    def panel(w: World, slot: int, after: int, b: int, f: int, dt: R):
+        """Leave what triangle ``f`` does, and what it then remembers in slot ``after``."""
         s, t = placed(w, slot, f)
-        leave(w, f, s, t, membrane(strained(s, t), load_membrane(w.table, b)) * w.panel_area[f])
-        if wp.static(creasing):
-            leave_moments(w, f, plate(curvature(w.angle, w, f), load_plate(w.table, b)) * w.bent_area[f])
+        if wp.static(remembering):
+            q = w.sheet_memory[slot, f]
+            p_flow = load_flow(w.table, b)
+            p_branch = load_branch(w.table, b)
+            stress, then = fabric(strained(s, t), q, dt, load_membrane(w.table, b), p_flow, p_branch)
+            leave(w, f, s, t, stress * w.panel_area[f])
+            if wp.static(creasing):
+                moments, bent = fold_fabric(curvature(w.angle, w, f), q, dt, load_plate(w.table, b), p_flow, p_branch)
+                then += bent
+                leave_moments(w, f, moments * w.bent_area[f])
+            w.sheet_memory[after, f] = then
+        if wp.static(not remembering):
+            leave(w, f, s, t, membrane(strained(s, t), load_membrane(w.table, b)) * w.panel_area[f])
+            if wp.static(creasing):
+                leave_moments(w, f, plate(curvature(w.angle, w, f), load_plate(w.table, b)) * w.bent_area[f])
 
     @wp.func
     def ease_fold(w: World, row: int, r: int, h: int):
@@ -207,11 +225,13 @@ def make_back_shells(kit):
     change by the adjoints of forces; the adjoints of a triangle and of a fold; the same of damping in a round; what a node gets of them.
     """
     R, vec, World, Adjoint = kit.R, kit.vec, kit.World, kit.Adjoint
-    pm, pp, pd, pf = (kit.vectors[s] for s in SHEETS)
+    pm, pp, pw, pb, pd, pf = (kit.vectors[s] for s in SHEETS)
+    pq, remembering = kit.vectors["sheet_memory"], kit.sheets_remembering
+    fabric, fold_fabric = make_fabric(kit)
     creasing, membrane, plate = kit.creasing, kit.laws.membrane, kit.laws.plate
     viscous_membrane, viscous_plate = kit.laws.viscous_membrane, kit.laws.viscous_plate
-    load_membrane, load_plate, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
-    give_membrane, give_plate, give_viscous_membrane, give_viscous_plate = (kit.give_all[s] for s in SHEETS)
+    load_membrane, load_plate, load_flow, load_branch, load_viscous_membrane, load_viscous_plate = (kit.load[s] for s in SHEETS)
+    give_membrane, give_plate, give_flow, give_branch, give_viscous_membrane, give_viscous_plate = (kit.give_all[s] for s in SHEETS)
     creased, at_nodes, corners, measure, along, curvature, tangents, placed, moving, spread, strained, changed = shell_functions(kit)
 
     @wp.func
@@ -225,6 +245,16 @@ def make_back_shells(kit):
     @wp.func
     def plate_dot(kappa: vec, p: pp, d: vec):
         return work(plate(kappa, p), d)
+
+    @wp.func
+    def fabric_dot(s: vec, t: vec, q: pq, dt: R, p: pm, p_flow: pw, p_branch: pb, ds: vec, dt_: vec, weight: R, on: pq):
+        stress, after = fabric(strained(s, t), q, dt, p, p_flow, p_branch)
+        return work(stress, changed(s, t, ds, dt_)) * weight + wp.dot(on, after)
+
+    @wp.func
+    def fold_fabric_dot(kappa: vec, q: pq, dt: R, p: pp, p_flow: pw, p_branch: pb, d: vec, weight: R, on: pq):
+        moments, after = fold_fabric(kappa, q, dt, p, p_flow, p_branch)
+        return work(moments, d) * weight + wp.dot(on, after)
 
     @wp.func
     def eased_stretch_dot(s: vec, t: vec, u: vec, v: vec, p: pd, ds: vec, dt: vec):
@@ -285,10 +315,17 @@ def make_back_shells(kit):
         a.angle[h] = along(a.eased, w, h, ga, gb, gc, gd)
 
     @wp.func
-    def back_panel(w: World, a: Adjoint, slot: int, b: int, f: int):
+    def pushed(w: World, a: Adjoint, slot: int, f: int):
+        """The tangents of triangle ``f`` changed as its corners move by the adjoints of their forces."""
+        of = slot % 2
+        ds, dt = tangents(w, f, a.force[of, w.panel[f, 0]], a.force[of, w.panel[f, 1]], a.force[of, w.panel[f, 2]])
+        return ds, dt
+
+    @wp.func
+    def back_elastic(w: World, a: Adjoint, slot: int, b: int, f: int, h: R):
         """Leave the adjoints of triangle ``f`` at its corners and at its sides."""
         s, t = placed(w, slot, f)
-        ds, dt = tangents(w, f, a.force[slot % 2, w.panel[f, 0]], a.force[slot % 2, w.panel[f, 1]], a.force[slot % 2, w.panel[f, 2]])
+        ds, dt = pushed(w, a, slot, f)
         gs, gt, gp, _ds, _dt = wp.grad(stretch_dot)(s, t, load_membrane(w.table, b), ds, dt)
         area = -w.panel_area[f]
         leave_corners(w, a, f, 0, gs * area, gt * area)
@@ -300,6 +337,37 @@ def make_back_shells(kit):
             leave_sides(w, a, f, gk * area, gd * area)
             if a.wants_table > 0:
                 give_plate(a.plate, f, gp_plate * area)
+
+    @wp.func
+    def back_remembering(w: World, a: Adjoint, slot: int, b: int, f: int, h: R):
+        """The same, and the adjoint of what it remembered, where it does, in a substep of ``h`` seconds."""
+        s, t = placed(w, slot, f)
+        ds, dt = pushed(w, a, slot, f)
+        q = w.sheet_memory[slot, f]
+        on = a.sheet_memory[f]
+        p_flow = load_flow(w.table, b)
+        p_branch = load_branch(w.table, b)
+        gs, gt, gq, _h, gp, gw, gb, _ds, _dt, _weight, _on = wp.grad(fabric_dot)(
+            s, t, q, h, load_membrane(w.table, b), p_flow, p_branch, ds, dt, -w.panel_area[f], on
+        )
+        leave_corners(w, a, f, 0, gs, gt)
+        if a.wants_table > 0:
+            give_membrane(a.membrane, f, gp)
+        if wp.static(creasing):
+            kappa, change = curvature(w.angle, w, f), curvature(a.angle, w, f)
+            gk, kq, _kh, kp, kw, kb, gd, _kweight, _kon = wp.grad(fold_fabric_dot)(
+                kappa, q, h, load_plate(w.table, b), p_flow, p_branch, change, -w.bent_area[f], on
+            )
+            leave_sides(w, a, f, gk, gd)
+            gq += kq
+            gw += kw
+            gb += kb
+            if a.wants_table > 0:
+                give_plate(a.plate, f, kp)
+        if a.wants_table > 0:
+            give_flow(a.sheet_flow, f, gw)
+            give_branch(a.sheet_branch, f, gb)
+        a.sheet_memory[f] = gq
 
     @wp.func
     def back_ease_panel(w: World, a: Adjoint, slot: int, r: int, b: int, f: int, share: R):
@@ -364,4 +432,5 @@ def make_back_shells(kit):
                 g += a.folded[w.fold_of[e] // 4, w.fold_of[e] % 4 + 4 * speed]
         return g
 
+    back_panel = back_remembering if remembering else back_elastic
     return back_crease, back_panel, back_fold, back_ease_crease, back_ease_panel, back_ease_fold, redraped

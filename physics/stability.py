@@ -8,6 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from .cells import point_sites
+from .fabrics import fabric_twin
 from .facets import enclosed
 from .hinges import FOLD
 from .materials import point_twin
@@ -16,13 +17,26 @@ from .sheets import damping_forces as sheet_damping
 from .sheets import internal_forces as sheet_forces
 from .solids import damping_forces, internal_forces
 from .system import System
-from .terms.stages import CELLS, EASED, HardTerm, SolidTerm
+from .terms.stages import (
+    CELLS,
+    EASED,
+    HardTerm,
+    MembraneTerm,
+    PlateTerm,
+    SheetBranchTerm,
+    SheetFlowTerm,
+    SolidTerm,
+    ViscousMembraneTerm,
+    ViscousPlateTerm,
+)
 
 __all__ = ["stable_rounds", "stable_step", "stable_stepping", "stable_substeps"]
 
 
 CLOSE = 0.02  # relative, to which a largest eigenvalue is found; what is missing then is in the margin
 MARGIN = 1.1
+MEMORIES, RESISTS = (SheetFlowTerm.stage, SheetBranchTerm.stage), (MembraneTerm.stage, PlateTerm.stage)
+DAMPS = (ViscousMembraneTerm.stage, ViscousPlateTerm.stage)
 INSTANT = 1e-9  # s, in which nothing relaxes
 MOST_ROUNDS = 20  # of damping: more would let rounding errors of float32 grow
 EASED_LIMIT = 3.0  # of lam dt^2, for 4 without rounds: 3.3 in two of them and more, and 4 - 2 z in one that takes z = 1/2
@@ -153,20 +167,43 @@ def _largest(pull, masses, free):
 
 def _sheet_fastest(system, free, *, damping):
     """Largest eigenvalue [1/s^2, or 1/s of the ``damping``] of the free nodes' stiffness over mass, by a sheet's terms, as it starts."""
-    own = [[t for t in system.terms if t.stage == ("viscous_" if damping else "") + stage] for stage in ("membrane", "plate")]
-    if system.sheet is None or not any(own):
+    if system.sheet is None or not any(t.stage in (DAMPS if damping else RESISTS) for t in system.terms):
         return 0.0
     x, step = system.positions, 1e-6 * np.sqrt(system.sheet.areas.min())
-    membrane, plate = (lambda given, terms=terms: sum((t.twin(given, **t.values) for t in terms), np.zeros_like(given)) for terms in own)
+    if damping:
+        rates = [_summed(system.terms, stage) for stage in DAMPS]
+    else:
+        strains = _resisting(system.sheet, x, system.terms)
 
     def pull(way):
         if damping:
-            return sheet_damping(system.sheet, x, way, membrane, plate)
+            return sheet_damping(system.sheet, x, way, *rates)
         small = step / max(np.abs(way).max(), 1e-300)
-        ahead, behind = (sheet_forces(system.sheet, x + move, membrane, plate) for move in (small * way, -small * way))
+        ahead, behind = (sheet_forces(system.sheet, x + move, *strains) for move in (small * way, -small * way))
         return (ahead - behind) / (2 * small)
 
     return _largest(pull, system.masses, free[: system.particle_count])
+
+
+def _summed(terms, stage):
+    return lambda given: sum((t.twin(given, **t.values) for t in terms if t.stage == stage), np.zeros_like(given))
+
+
+def _resisting(sheet, x, terms):
+    """What sheets resist strains and curvatures with, at once, as laws of these: springs beside them pull at nothing at ``x``, so that none
+    of them gives way."""
+    found, remembering = {}, [t for t in terms if t.stage in MEMORIES]
+    springs = np.array([t.stage == SheetBranchTerm.stage for t in remembering], bool)[:, None]
+
+    def remembered(stage):
+        def seen(whole):
+            found[stage] = np.where(springs, whole[:, None], 0.0)
+            return np.zeros_like(whole)
+
+        return seen
+
+    sheet_forces(sheet, x, *(remembered(stage) for stage in RESISTS))
+    return [lambda whole, stage=stage: fabric_twin(terms, whole, found[stage], INSTANT, stage=stage)[0] for stage in RESISTS]
 
 
 def stable_rounds(system: System, dt: float) -> int:

@@ -1,4 +1,4 @@
-"""What a solid's material may be beside neo-Hookean and viscous, and a sheet's beside linear and isotropic.
+"""What a solid's material may be beside neo-Hookean and viscous, and a sheet's beside linear, isotropic and viscous.
 
 Fibres and yarns are tried in four directions of the body's plane.
 """
@@ -28,4 +28,8 @@ EFFECTS = (
     Effect.of_term("material", terms.SheetTension, SHEET),
     Effect.of_term("material", terms.MembraneStiffening, SHEET, shapes={"membrane_knee": (0.02,)}),
     Effect.of_term("material", terms.MembraneSlack, SHEET),
+    Effect.of_term("material", terms.SheetRelaxing, SHEET),
+    Effect.of_term("material", terms.SheetFriction, SHEET),
+    Effect.of_term("material", terms.SheetCreep, SHEET),
+    Effect.of_term("material", terms.SheetYielding, SHEET),
 )

@@ -52,7 +52,11 @@ from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
 from .second_hand import SecondHand
 from .self_collision import SelfCollision
+from .sheet_creep import SheetCreep
+from .sheet_friction import SheetFriction
+from .sheet_relaxing import SheetRelaxing
 from .sheet_tension import SheetTension
+from .sheet_yielding import SheetYielding
 from .sliding_hand import SlidingHand
 from .soft_grip import SoftGrip
 from .soft_ground import SoftGround
@@ -123,7 +127,11 @@ __all__ = [
     "RestShape",
     "SecondHand",
     "SelfCollision",
+    "SheetCreep",
+    "SheetFriction",
+    "SheetRelaxing",
     "SheetTension",
+    "SheetYielding",
     "SlidingHand",
     "SoftGrip",
     "SoftGround",

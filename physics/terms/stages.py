@@ -46,6 +46,8 @@ __all__ = [
     "ObserverTerm",
     "PlateTerm",
     "SetupTerm",
+    "SheetBranchTerm",
+    "SheetFlowTerm",
     "SlipTerm",
     "SolidTerm",
     "StrandTerm",
@@ -206,6 +208,26 @@ class PlateTerm(KernelTerm):
     given = ("curvature",)
 
 
+class SheetFlowTerm(KernelTerm):
+    """How the rest shape of a sheet flows in a substep: what of its elastic strain, or curvature, becomes rest (``physics.fabrics``).
+
+    ``strain`` is in a triangle's plane, as ``MembraneTerm`` has it, or where ``curved`` is 1, and not 0, the curvature [1/m].
+    """
+
+    stage = "sheet_flow"
+    given = ("strain", "curved", "dt")
+
+
+class SheetBranchTerm(RememberingTerm):
+    """Springs beside a sheet that remember q, a tensor as ``strain``: the strain at which its elasticity would resist as they do.
+
+    ``strain`` and ``curved`` as ``SheetFlowTerm`` has them; the law sees q after the substep.
+    """
+
+    stage = "sheet_branch"
+    given = ("strain", "curved", "q")
+
+
 class ViscousMembraneTerm(KernelTerm):
     """More stress resultants of a sheet [N/m], linear in the strain's rate [1/s]; on velocities, in rounds (``physics.rounds``)."""
 
@@ -321,7 +343,7 @@ class SetupTerm(Term):
 
 _SPRINGS = (AxialTerm, StrandTerm, HingeTerm, FacetTerm)
 _CELLS = (GrowthTerm, FlowTerm, SolidTerm, MaterialTerm, BranchTerm, ViscousTerm)
-_SHEETS = (MembraneTerm, PlateTerm, ViscousMembraneTerm, ViscousPlateTerm)
+_SHEETS = (MembraneTerm, PlateTerm, SheetFlowTerm, SheetBranchTerm, ViscousMembraneTerm, ViscousPlateTerm)
 _EASED = (ViscousTerm, ViscousMembraneTerm, ViscousPlateTerm)
 _POINTS = (BodyTerm, SurfaceTerm, TouchTerm, GripTerm, SlipTerm)
 _STAGED = (*_SPRINGS, *_CELLS, *_SHEETS, LayerTerm, *_POINTS, ObserverTerm, VelocityTerm, ContactTerm, MoveTerm)

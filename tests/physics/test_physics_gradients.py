@@ -44,7 +44,8 @@ MEMORIES = (*AIR, Plasticity, SelfCollision, Viscoelastic, GripSlip)
 KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "memories too": MEMORIES}
 KINDS |= {"ground and hinges": ROD, "all": (*MEMORIES, Bending, BendingDamping, Torsion, PlateDrag, Pressure)}
 every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
-OF_SOLIDS = ("cell_memory", "load", "held", "anchor", "slid")  # see test_physics_materials.py and test_physics_points.py
+# see test_physics_materials.py, test_physics_points.py and test_physics_fabrics.py
+OF_SOLIDS = ("cell_memory", "load", "held", "anchor", "slid", "sheet_memory")
 HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
 
 
