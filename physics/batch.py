@@ -21,7 +21,7 @@ from .kernels import build
 from .laws import Laws
 from .layer_items import assemble_layers
 from .layer_search import SEARCH
-from .march import Adjoint, Carried, Inputs, March, Stretch, World, settled
+from .march import MEMORIES, Adjoint, Carried, Inputs, March, Stretch, World, settled
 from .native import WARP
 from .outside import assemble_points
 from .resident import engine_for
@@ -414,21 +414,14 @@ class Batch:
         """What one substep takes of a history, for the way back."""
         kept = self.node_count * (23 if self.colliding else 14)
         if self.hinged:
-            kept += 4 * (len(self.inputs.directors) + len(self.inputs.flexure))
+            kept += len(self.inputs.directors) + 4 * len(self.inputs.flexure)
         if self.easing:
             kept += self.node_count * 3 * (int(self.rounds.max()) + 2)
         if self.layered:
             kept += 20 * self.node_count  # candidates, about: a flat sheet has 7 a node, a folded one 25
-        if self.touching:
-            kept += 3 * len(self.inputs.anchor)
-        if self.slipping:
-            kept += 3 * len(self.inputs.slid)
         if self.remembering:
             kept += len(self.constants["spring"]) * self.laws.memories
-        if self.cells_remembering:
-            kept += self.inputs.cell_memory.numel()
-        if self.sheets_remembering:
-            kept += self.inputs.sheet_memory.numel()
+        kept += sum(getattr(self.inputs, m.name).numel() for m in MEMORIES if getattr(self, m.kept))
         return kept * self.dtype.itemsize
 
     def forward(self, world: World, frame: int, stretch: Stretch) -> None:

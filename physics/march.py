@@ -17,7 +17,7 @@ from .contacts import seek
 from .layer_search import Pairs, seek_layers
 from .terms.stages import CELLS, POINTS, SHEETS, STAGED
 
-__all__ = ["Adjoint", "Carried", "Inputs", "March", "Stretch", "World", "settled"]
+__all__ = ["MEMORIES", "Adjoint", "Carried", "Inputs", "March", "Memory", "Stretch", "World", "settled"]
 
 
 @dataclass
@@ -50,6 +50,29 @@ class Inputs:
     anchor: torch.Tensor
     slid: torch.Tensor
     sheet_memory: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What substeps pass on beside positions and velocities: under one ``name`` in ``Inputs``, ``Carried`` and both structs of kernels.
+
+    system  of the batch, which system each of its rows is of
+    kept    of the batch, whether it changes: else it is what it was at the start
+    """
+
+    name: str
+    system: str
+    kept: str
+
+
+# what springs remember is not among them: it is kept at both ends of each
+MEMORIES = (
+    Memory("directors", "rope_system", "hinged"),
+    Memory("cell_memory", "cell_system", "cells_remembering"),
+    Memory("sheet_memory", "panel_system", "sheets_remembering"),
+    Memory("anchor", "point_system", "touching"),
+    Memory("slid", "hand_system", "slipping"),
+)
 
 
 @dataclass(frozen=True)
@@ -131,36 +154,24 @@ def _nothing(dimensions, dtype, device):
 
 
 class World(Carrier):
-    """The state of a batch in ``slots`` slots, starting at the tensors of ``STATE``, with ``near`` the contact candidates.
+    """A batch in ``slots`` slots that starts at a ``state``, the tensors of ``STATE`` by name, with ``near`` the contact candidates.
 
     ``layers`` are ``Pairs``, or None.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, sheet_memory, near, layers, slots, out):
+    def __init__(self, batch, values, state, near, layers, slots, out):
         n, self.slots, self._batch = batch.node_count, slots, batch
 
         def empty(*shape, dtype=batch.dtype):
             return torch.empty(shape, dtype=dtype, device=batch.device)
 
-        state = empty(slots, n, 8)
-        state[0, :, 0:3], state[0, :, 4:7] = x, v
-        ways = empty(slots if batch.hinged else 1, *directors.shape)
-        ways[0] = directors
-        anchors = empty(slots if batch.touching else 1, *anchor.shape)
-        anchors[0] = anchor
-        slides = empty(slots if batch.slipping else 1, *slid.shape)
-        slides[0] = slid
-        self.states, self.memory, self.ways, self.anchors, self.slides = state, memory, ways, anchors, slides
+        x = state["x"]
+        self.states = empty(slots, n, 8)
+        self.remembered = {m.name: empty(slots if getattr(batch, m.kept) else 1, *state[m.name].shape) for m in MEMORIES}
         ends = batch.constants["spring"].long()
-        memories = empty(slots if batch.remembering else 0, len(ends), memory.shape[1])
-        if batch.remembering:
-            memories[0] = memory[ends]
-        self.memories = memories
-        self.cell_memories = empty(slots if batch.cells_remembering else 0, *cell_memory.shape)
-        self.cell_memories[:1] = cell_memory
-        self.sheet_memories = empty(slots if batch.sheets_remembering else 0, *sheet_memory.shape)
-        self.sheet_memories[:1] = sheet_memory
-        kept = slots if slots > 2 else 1
+        self.memories = empty(slots if batch.remembering else 0, len(ends), state["memory"].shape[1])
+        self._begin(state)
+        kept, ways = slots if slots > 2 else 1, self.remembered["directors"]
         met = slots if batch.colliding else 1
         rounds = batch.constants["ease"].shape[1]
         counters = torch.zeros(len(batch.systems), dtype=torch.int32, device=batch.device)
@@ -175,19 +186,12 @@ class World(Carrier):
                 **batch.arrays,
                 **{k: values[k][ends] for k in ("rest", "stiffness")},
                 **{k: values[k] for k in ("mass", "path", "table", "natural", "flexure", "load", "held")},
-                **dict(anchor=anchors, slid=slides, push=torch.empty_like(anchor)),
-                **dict(directors=ways, moment=empty(len(values["flexure"]), 2, 3), torque=empty(len(ways), len(values["flexure"]), 4)),
-                **dict(rolled=empty(len(ways) * len(directors)), factor=empty(len(directors), 4)),
+                **self.remembered,
+                **dict(push=torch.empty_like(state["anchor"]), moment=empty(len(values["flexure"]), 2, 3)),
+                **dict(torque=empty(len(ways), len(values["flexure"]), 4), rolled=empty(len(ways) * ways.shape[1])),
+                **dict(factor=empty(ways.shape[1], 4)),
                 **dict(face=empty(batch.facet_starts[-1], 3), swelling=empty(slots, len(batch.systems)), parts=batch.parts()),
-                **dict(
-                    state=state.view(-1),
-                    memory=memories,
-                    cell_memory=self.cell_memories,
-                    sheet_memory=self.sheet_memories,
-                    pushed=empty(kept, n, 3),
-                    out=out,
-                    force=torch.zeros_like(x),
-                ),
+                **dict(state=self.states.view(-1), memory=self.memories, pushed=empty(kept, n, 3), out=out, force=torch.zeros_like(x)),
                 **dict(free=empty(1 if batch.colliding else kept, n, 3), flight=empty((slots if batch.colliding else 0) * n * 8)),
                 **dict(met=empty(met, n, 3), hits=empty(met, n, dtype=torch.int32)),
                 **dict(squeeze=empty(batch.cell_starts[-1], 8, 3), eased=empty(kept, rounds + 1, n if batch.easing else 0, 3)),
@@ -201,14 +205,17 @@ class World(Carrier):
         self.struct.nodes = n
         self.pair(layers or Pairs.none(batch))
 
-    def go_on(self, x, v, memory, directors, cell_memory, anchor, slid, sheet_memory, out) -> None:
-        """Start again, in slot 0, at the tensors of ``STATE``."""
-        self.states[0, :, 0:3], self.states[0, :, 4:7] = x, v
-        self.ways[0], self.anchors[0], self.slides[0], self.memory = directors, anchor, slid, memory
+    def _begin(self, state):
+        """Put the tensors of ``STATE`` into slot 0."""
+        self.states[0, :, 0:3], self.states[0, :, 4:7], self.memory = state["x"], state["v"], state["memory"]
+        for name, slots in self.remembered.items():
+            slots[0] = state[name]
         if self._batch.remembering:
-            self.memories[0] = memory[self._batch.constants["spring"].long()]
-        self.cell_memories[:1] = cell_memory
-        self.sheet_memories[:1] = sheet_memory
+            self.memories[0] = self.memory[self._batch.constants["spring"].long()]
+
+    def go_on(self, state, out) -> None:
+        """Start again, in slot 0, at the tensors of ``STATE``."""
+        self._begin(state)
         self.tensors["pair_wake"].zero_()
         self.set(out=out)
 
@@ -220,8 +227,8 @@ class World(Carrier):
         self.set(**vars(layers), meeting=torch.zeros((self._kept, count), **whole), pair_wake=torch.zeros(count, **whole))
         self.set(pair_force=torch.empty((count, 3), **real), pair_weight=torch.empty((count, 4), **real))
 
-    def end(self, stretch: Stretch):
-        """The tensors of ``STATE`` at the end of a stretch."""
+    def end(self, stretch: Stretch) -> dict[str, torch.Tensor]:
+        """The tensors of ``STATE`` at the end of a stretch, by name."""
         batch, slots = self._batch, stretch.count % self.slots
         alike = int(slots[0]) if (slots == slots[0]).all() else None
         slot: Any = None if alike is not None else batch.kept_ints(slots).long()
@@ -235,27 +242,21 @@ class World(Carrier):
             return arrays[slot[system] % len(arrays), place]
 
         end = at(self.states, batch.system_of)
-        memory = self.memory.clone()
+        found = dict(x=end[:, 0:3].contiguous(), v=end[:, 4:7].contiguous(), memory=self.memory.clone())
         if batch.remembering:
-            memory[batch.lower_spring] = at(self.memories, batch.spring_system[batch.lower_spring], batch.lower_end)
-        ways = at(self.ways, batch.rope_system)
-        anchors, slides = at(self.anchors, batch.point_system), at(self.slides, batch.hand_system)
-        cell_memory = at(self.cell_memories, batch.cell_system) if batch.cells_remembering else torch.zeros_like(batch.inputs.cell_memory)
-        sheet_memory = (
-            at(self.sheet_memories, batch.panel_system) if batch.sheets_remembering else torch.zeros_like(batch.inputs.sheet_memory)
-        )
-        return end[:, 0:3].contiguous(), end[:, 4:7].contiguous(), memory, ways, cell_memory, anchors, slides, sheet_memory
+            found["memory"][batch.lower_spring] = at(self.memories, batch.spring_system[batch.lower_spring], batch.lower_end)
+        return found | {m.name: at(self.remembered[m.name], getattr(batch, m.system)) for m in MEMORIES}
 
 
 class Adjoint(Carrier):
-    """Adjoints of a batch's state and inputs: of the tensors of ``STATE`` at the end, ``out`` of the positions at the frames.
+    """Adjoints of a batch's state and inputs: of a ``state`` at the end, as ``World`` has it, and ``out`` of the positions at the frames.
 
     ``wanted`` names the inputs whose gradients somebody asks for.
     """
 
-    def __init__(self, batch, values, x, v, memory, directors, cell_memory, anchor, slid, sheet_memory, out, wanted):
-        self.batch, self.memory = batch, memory
-        hinges, segments = len(values["flexure"]), len(directors)
+    def __init__(self, batch, values, state, out, wanted):
+        self.batch, self.memory = batch, state["memory"]
+        memory, hinges, segments = self.memory, len(values["flexure"]), len(state["directors"])
 
         def zeros(*width, count=batch.node_count):
             return torch.zeros((count, *width), dtype=batch.dtype, device=batch.device)
@@ -266,7 +267,7 @@ class Adjoint(Carrier):
         self.counts["layer"] = batch.node_count
         panels, folds = batch.panel_starts[-1], batch.fold_count
         self.counts |= dict.fromkeys(SHEETS, panels)
-        self.counts |= dict.fromkeys((*POINTS, *(["body"] if batch.pointed else [])), len(anchor))
+        self.counts |= dict.fromkeys((*POINTS, *(["body"] if batch.pointed else [])), len(state["anchor"]))
         stages = {s: zeros(batch.laws.width(s), count=self.counts.get(s, batch.node_count)) for s in STAGED}
         inputs = {k: torch.zeros_like(values[k]) for k in ("rest", "stiffness", "mass", "path", "natural", "flexure", "load", "held")}
         rods = dict(bent=zeros(8, 3, count=hinges), wrung=zeros(5, 3, count=hinges), turned=zeros(segments, 5, 3, count=2))
@@ -276,17 +277,16 @@ class Adjoint(Carrier):
             batch.kernels,
             batch.kernels.Adjoint,
             dict(
-                **dict(x=x.contiguous().clone(), v=v.contiguous().clone(), memory=memories, out=out, met=zeros(3), share=zeros(3)),
-                **dict(force=torch.stack([zeros(3)] * 2), links=zeros(), directors=directors.contiguous().clone()),
+                **{name: state[name].contiguous().clone() for name in STATE if name != "memory"},
+                **dict(memory=memories, out=out, met=zeros(3), share=zeros(3), force=torch.stack([zeros(3)] * 2), links=zeros()),
                 **stages,
                 **inputs,
                 **rods,
                 **faced,
-                **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), gain=zeros(3), cell_memory=cell_memory.contiguous().clone()),
+                **dict(cells=zeros(16, 3, count=cells), eased=zeros(3), gain=zeros(3)),
                 **dict(paneled=zeros(6, 3, count=panels), panel_angle=zeros(3, 2, count=panels)),
-                sheet_memory=sheet_memory.contiguous().clone(),
                 **dict(angle=zeros(count=folds), folded=zeros(8, 3, count=folds)),
-                **dict(anchor=anchor.contiguous().clone(), slid=slid.contiguous().clone(), met_points=zeros(4, 3, count=len(anchor))),
+                met_points=zeros(4, 3, count=len(state["anchor"])),
             ),
         )
         for name in ("rest", "mass", "table"):
@@ -320,15 +320,7 @@ class Adjoint(Carrier):
         memory = self.memory.clone()
         if batch.remembering:
             memory[batch.lower_spring] = t["memory"][batch.lower_end]
-        plain = (
-            *("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "directors"),
-            "cell_memory",
-            "load",
-            "held",
-            "anchor",
-            "slid",
-            "sheet_memory",
-        )
+        plain = ("x", "v", "mass", "rest", "stiffness", "path", "natural", "flexure", "load", "held", *(m.name for m in MEMORIES))
         return {"memory": memory, "table": table, **{k: t[k] for k in plain}}
 
 
@@ -336,8 +328,8 @@ class March(torch.autograd.Function):
     @staticmethod
     def forward(ctx, batch, frame, frames, *inputs):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), inputs, strict=True)}
-        state = tuple(values[k] for k in STATE)
-        x = state[0]
+        state = {k: values[k] for k in STATE}
+        x = state["x"]
         out = torch.empty((frames, *x.shape), dtype=x.dtype, device=x.device)
         back = any(ctx.needs_input_grad)
         stretches = batch.stretches(frames, history=back)
@@ -345,21 +337,20 @@ class March(torch.autograd.Function):
         keep = back and len(stretches) == 1
         for stretch in stretches:
             fresh = stretch.horizon is not None
-            sought = seek(batch, state[0], values["table"]) if batch.colliding and fresh else None
+            sought = seek(batch, state["x"], values["table"]) if batch.colliding and fresh else None
             if world is None or keep:
-                world = World(
-                    batch, values, *state, near=near, layers=layers, slots=stretch.history if keep else 2, out=out[stretch.frame :]
-                )  # meanwhile
+                known: dict[str, Any] = dict(near=near, layers=layers, slots=stretch.history if keep else 2)
+                world = World(batch, values, state, out=out[stretch.frame :], **known)  # meanwhile
             else:
-                world.go_on(*state, out=out[stretch.frame :])
+                world.go_on(state, out=out[stretch.frame :])
             if sought:
                 near = sought()
                 world.set(near_row=near[0], near=near[1])
             if batch.layered and fresh:
-                layers = seek_layers(batch, *state[:2], values["table"], batch.seconds(stretch.horizon))
+                layers = seek_layers(batch, state["x"], state["v"], values["table"], batch.seconds(stretch.horizon))
                 if len(layers.pair) or len(world.tensors["pair"]):
                     world.pair(layers)
-            ctx.starts.append((*state, near, layers))
+            ctx.starts.append((state, near, layers))
             batch.forward(world, frame, stretch)
             state = world.end(stretch)
             if keep:
@@ -367,7 +358,7 @@ class March(torch.autograd.Function):
                 ctx.world = world
         ctx.save_for_backward(*inputs)  # torch then refuses a way back after an input was changed in place
         ctx.batch, ctx.frame, ctx.stretches = batch, frame, stretches
-        return out, *state
+        return out, *(state[k] for k in STATE)
 
     @staticmethod
     @once_differentiable
@@ -376,7 +367,7 @@ class March(torch.autograd.Function):
         values = {f.name: t.detach().contiguous() for f, t in zip(fields(Inputs), ctx.saved_tensors, strict=True)}
         given = g_out.contiguous()
         wanted = {f.name for f, needed in zip(fields(Inputs), ctx.needs_input_grad[3:], strict=True) if needed}
-        adjoint = Adjoint(batch, values, *g_state, out=given, wanted=wanted)
+        adjoint = Adjoint(batch, values, dict(zip(STATE, g_state, strict=True)), out=given, wanted=wanted)
         scratch = torch.empty_like(g_out)
         for stretch, start in zip(reversed(ctx.stretches), reversed(ctx.starts), strict=True):
             world, ctx.world = ctx.world, None  # outputs that somebody still holds keep this context; a second way back recomputes
@@ -420,10 +411,10 @@ def settled(batch, inputs: Inputs) -> torch.Tensor:
     moving = one > 0
     for _ in range(ROUNDS):
         now = {**state, "directors": directors}
-        world = World(batch, values, **now, near=(nobody, nobody), layers=None, slots=2, out=torch.empty_like(x[None]))
+        world = World(batch, values, now, near=(nobody, nobody), layers=None, slots=2, out=torch.empty_like(x[None]))
         world.set(dt=one * STOPPED, substeps=(one * (ROUND + 1)).int())
         batch.forward(world, 0, stretch)
-        relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)[3], directors)
+        relaxed = torch.where(moving[batch.rope_system, None], world.end(stretch)["directors"], directors)
         change = (relaxed - directors).abs().amax(1)
         directors = relaxed
         # each by itself, so that a batch is nothing but its systems

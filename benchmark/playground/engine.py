@@ -221,12 +221,12 @@ def _kept(batch, values, count):
     from ...physics.contacts import seek
     from ...physics.march import STATE
 
-    state, out = tuple(values[k] for k in STATE), torch.empty((1, *values["x"].shape), dtype=batch.dtype, device=batch.device)
+    state, out = {k: values[k] for k in STATE}, torch.empty((1, *values["x"].shape), dtype=batch.dtype, device=batch.device)
     near = None
     for stretch in batch.stretches(1, history=True):
         if batch.colliding and stretch.horizon is not None:
-            near = seek(batch, state[0], values["table"])()
-        world = World(batch, values, *state, near, None, stretch.history, out)
+            near = seek(batch, state["x"], values["table"])()
+        world = World(batch, values, state, near, None, stretch.history, out)
         batch.forward(world, 0, stretch)
         yield world, int(stretch.count[0])
         state = world.end(stretch)
