@@ -13,7 +13,7 @@ from ..datasets.plugins import discover, warn
 from ..physics import terms as ours
 from ..physics.catalogue import KIND, terms
 from ..physics.terms.base import Term
-from ..physics.terms.stages import CELLS, POINTS
+from ..physics.terms.stages import CELLS, HINGES, POINTS, SHEETS
 from ..physics.trials import fault
 from .locate import peaks
 from .model import Knob, Simulator
@@ -84,7 +84,7 @@ def catalogue() -> tuple[type[Term], ...]:
     """Every term that declares an effect, by name. One that nobody has tested, of another package or a new file, is tried first."""
     found = []
     for name, term in sorted(terms().items()):
-        if term.effect is None or term.stage in (*CELLS, *POINTS):  # twins here are made of springs
+        if term.effect is None or term.stage in (*CELLS, *SHEETS, *POINTS, *HINGES[1:]):  # twins here are made of springs
             continue
         if getattr(ours, term.__name__, None) is not term and (wrong := fault(term)):  # it would be the end of every diagnosis
             warn(f"term {name!r} ({discover(KIND).origins[name]}) is no hypothesis: {wrong}")

@@ -122,7 +122,7 @@ def make_backward(kit):
             if wp.static(hinged):
                 if k < count and w.hinge_start[b + 1] > w.hinge_start[b]:
                     for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
-                        back_bend(w, a, k, h, p_hinge)
+                        back_bend(w, a, k, b, h, dt, p_hinge)
                     round += 1
                     barrier(w.counters, team, blocks, round)
                 if w.segment_start[b + 1] > w.segment_start[b]:
@@ -136,7 +136,7 @@ def make_backward(kit):
                     round += 1
                     barrier(w.counters, team, blocks, round)
                     for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
-                        back_wrung(w, a, k, h, p_hinge)
+                        back_wrung(w, a, k, b, h, p_hinge)
                     round += 1
                     barrier(w.counters, team, blocks, round)
                     for s in range(w.segment_start[b] + lane, w.segment_start[b + 1], width):

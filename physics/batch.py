@@ -108,6 +108,7 @@ class Batch:
         self.pointed = _have_points(systems, self.laws)
         self.layered, self.draped = bool(self.laws.stage("layer")), any(self.laws.stage(s) for s in SHEETS)
         self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
+        self.hinges_remembering = bool(self.laws.stage("hinge_flow") or self.laws.stage("hinge_branch"))
         self.sheets_remembering = bool(self.laws.stage("sheet_flow") or self.laws.stage("sheet_branch"))
         if self.easing and self.colliding:
             raise ValueError("a system can have terms that are viscous in a solid or a sheet, or one of the stage 'contact', got both")
@@ -202,6 +203,7 @@ class Batch:
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
         self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
         self.point_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.point_starts))).long()
+        self.hinge_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.hinge_starts))).long()
         self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
         self.cell_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.cell_starts))).long()
         self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
@@ -224,6 +226,7 @@ class Batch:
             table=self._real(table),
             memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
             cell_memory=self._real(np.zeros((self.cell_starts[-1], 8, self.laws.cell_memories))),
+            hinge_memory=self._real(np.zeros((self.hinge_starts[-1], self.laws.hinge_memories))),
             sheet_memory=self._real(np.zeros((self.panel_starts[-1], self.laws.sheet_memories))),
             **{k: self._real(v) for k, v in {**hinged, **outside}.items()},
         )

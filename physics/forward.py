@@ -211,7 +211,7 @@ def make_forward(kit):
             if wp.static(hinged):
                 if w.hinge_start[b + 1] > w.hinge_start[b]:
                     for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
-                        bend(w, here, h, p_hinge)
+                        bend(w, here, there, b, h, dt, p_hinge)
                     round += 1
                     barrier(w.counters, team, blocks, round)
             if wp.static(skinned):
@@ -431,7 +431,7 @@ def make_forward(kit):
                     round += 1
                     barrier(w.counters, team, blocks, round)
                     for h in range(w.hinge_start[b] + lane, w.hinge_start[b + 1], width):
-                        wrung(w, here, there, h, p_hinge)
+                        wrung(w, here, there, b, h, p_hinge)
                     round += 1
                     barrier(w.counters, team, blocks, round)
                     for c in range(w.chain_start[b] + lane, w.chain_start[b + 1], width):

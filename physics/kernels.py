@@ -88,7 +88,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
     vec, four = wp.types.vector(3, R), wp.types.vector(4, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
-    vectors |= {f"{k}_memory": wp.types.vector(getattr(laws, f"{k}_memories"), R) for k in ("cell", "sheet")}
+    vectors |= {f"{k}_memory": wp.types.vector(getattr(laws, f"{k}_memories"), R) for k in ("cell", "sheet", "hinge")}
     mat = wp.types.matrix((3, 3), R)
     pair = wp.types.vector(2, R)
     vectors |= dict(natural=pair, pivot=pair, torque=four, factor=four, pair_weight=four, pair_law=vectors["layer"])
@@ -114,6 +114,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         cells_easing=bool(laws.stage("viscous")),
         draping=any(laws.stage(s) for s in SHEETS),
         creasing=bool(laws.stage("plate") or laws.stage("viscous_plate")),
+        hinges_remembering=bool(laws.stage("hinge_flow") or laws.stage("hinge_branch")),
         sheets_branching=bool(laws.stage("sheet_branch")),
         sheets_remembering=bool(laws.stage("sheet_flow") or laws.stage("sheet_branch")),
         sheets_easing=bool(laws.stage("viscous_membrane") or laws.stage("viscous_plate")),
@@ -161,10 +162,10 @@ def _loader(R, vector, width, first):
 
 def _structs(R, vec, four, vectors):
     """World: everything a roll-out reads and writes. Adjoint: what flows back."""
-    pa, ps, ph, pf, pg, pw, pe, pl, pr, pd, pn, py, psf, psb, pvm, pvp, pj, pb, pu, pt, pi, pz, po, pv, pc, pm = (
+    pa, ps, ph, phf, phb, pf, pg, pw, pe, pl, pr, pd, pn, py, psf, psb, pvm, pvp, pj, pb, pu, pt, pi, pz, po, pv, pc, pm = (
         vectors[s] for s in STAGED
     )
-    pq, pk, pl6, two = (vectors[k] for k in ("memory", "cell_memory", "sheet_memory", "natural"))
+    pq, pk, psm, phm, two = (vectors[k] for k in ("memory", "cell_memory", "sheet_memory", "hinge_memory", "natural"))
 
     @wp.struct
     class World:
@@ -206,6 +207,7 @@ def _structs(R, vec, four, vectors):
         natural: wp.array(dtype=two)  # (H,) curvature
         span: wp.array(dtype=R)  # (H,) m
         flexure: wp.array(dtype=R)  # (H,)
+        hinge_memory: wp.array2d(dtype=phm)  # (slots, H) what they remember at the start of the substep (only with terms that do)
         moment: wp.array2d(dtype=vec)  # (H, 2) N, forces on the nodes before and after
         segment_start: wp.array(dtype=wp.int32)  # (B+1,) first segment of each system
         segment: wp.array2d(dtype=wp.int32)  # (S, 2) nodes from and to
@@ -252,7 +254,7 @@ def _structs(R, vec, four, vectors):
         bent_area: wp.array(dtype=R)  # (F,) m^2, for which its curvature stands
         flattened: wp.array2d(dtype=R)  # (F, 4) 1/m, the inverse of a triangle's edges at rest, row by row
         curving: wp.array2d(dtype=vec)  # (F, 3) 1/m, curvature per angle of each side
-        sheet_memory: wp.array2d(dtype=pl6)  # (slots, F) what triangles remember at the start of the substep (only with terms that do)
+        sheet_memory: wp.array2d(dtype=psm)  # (slots, F) what triangles remember at the start of the substep (only with terms that do)
         fold_start: wp.array(dtype=wp.int32)  # (B+1,) first fold of each system
         fold: wp.array2d(dtype=wp.int32)  # (H, 4) nodes: its ends, left, right
         fold_row: wp.array(dtype=wp.int32)  # (nodes+1,) first entry of each node in
@@ -320,6 +322,9 @@ def _structs(R, vec, four, vectors):
         pivot: wp.array(dtype=two)  # (S,) of a chain's pivots and their floors, by what is added to them
         wrung: wp.array2d(dtype=vec)  # (H, 5) of a hinge's torques: its nodes' x, its two directors
         hinge: wp.array(dtype=ph)  # (H,) shares of the parameters' gradient
+        hinge_flow: wp.array(dtype=phf)
+        hinge_branch: wp.array(dtype=phb)
+        hinge_memory: wp.array(dtype=phm)  # (H,) of the memory; in: at the stretch's end, out: at its start
         faced: wp.array2d(dtype=vec)  # (F, 2) of a substep's forces: a facet's area vector, a third of its velocity
         faced_mass: wp.array(dtype=R)  # (F,) and the mass that it carries
         parts: wp.array2d(dtype=R)  # (B, warps) of the ratio of volumes
@@ -341,7 +346,7 @@ def _structs(R, vec, four, vectors):
         plate: wp.array(dtype=py)
         sheet_flow: wp.array(dtype=psf)
         sheet_branch: wp.array(dtype=psb)
-        sheet_memory: wp.array(dtype=pl6)  # (F,) of the memory; in: at the stretch's end, out: at its start
+        sheet_memory: wp.array(dtype=psm)  # (F,) of the memory; in: at the stretch's end, out: at its start
         viscous_membrane: wp.array(dtype=pvm)
         viscous_plate: wp.array(dtype=pvp)
         paired: wp.array2d(dtype=vec)  # (C, 8) of a pair's forces: its nodes' x, their v

@@ -62,6 +62,11 @@ class Laws:
         """Length of a triangle's memory vector: six numbers for each of its flow and branch terms, at least 1."""
         return max(1, 6 * (len(self.stage("sheet_flow")) + len(self.stage("sheet_branch"))))
 
+    @property
+    def hinge_memories(self) -> int:
+        """Length of a hinge's memory vector: three numbers for each of its flow and branch terms, at least 1."""
+        return max(1, 3 * (len(self.stage("hinge_flow")) + len(self.stage("hinge_branch"))))
+
     def fuse(self) -> SimpleNamespace:
         """One Warp function, generic in its precision, for each stage in the kernels and for "evolve"; contact is None without its term."""
         return SimpleNamespace(

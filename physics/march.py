@@ -15,7 +15,7 @@ from torch.autograd.function import once_differentiable
 from .cell_lanes import ROWS, abreast
 from .contacts import seek
 from .layer_search import Pairs, seek_layers
-from .terms.stages import CELLS, POINTS, SHEETS, STAGED
+from .terms.stages import CELLS, HINGES, POINTS, SHEETS, STAGED
 
 __all__ = ["MEMORIES", "Adjoint", "Carried", "Inputs", "March", "Memory", "Stretch", "World", "settled"]
 
@@ -30,7 +30,8 @@ class Inputs:
     natural (hinges, 2), flexure (hinges,), directors (segments, 3): unit vectors across the segments of all chains,
     load (points,) kg, held (points,): how firmly hands hold them, anchor (points, 3) m: what they remember of the ground at the start,
     slid (hands, 3) m: how far what they hold has slid by then,
-    sheet_memory (triangles, numbers): what triangles remember, six numbers for each flow and branch term of sheets (``physics.fabrics``)
+    sheet_memory (triangles, numbers): what triangles remember, six numbers for each flow and branch term of sheets (``physics.fabrics``),
+    hinge_memory (hinges, numbers): and hinges of ropes, three for each of theirs
     """
 
     x: torch.Tensor
@@ -50,6 +51,7 @@ class Inputs:
     anchor: torch.Tensor
     slid: torch.Tensor
     sheet_memory: torch.Tensor
+    hinge_memory: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ MEMORIES = (
     Memory("directors", "rope_system", "hinged"),
     Memory("cell_memory", "cell_system", "cells_remembering"),
     Memory("sheet_memory", "panel_system", "sheets_remembering"),
+    Memory("hinge_memory", "hinge_system", "hinges_remembering"),
     Memory("anchor", "point_system", "touching"),
     Memory("slid", "hand_system", "slipping"),
 )
@@ -85,6 +88,7 @@ class Carried:
     anchor     (points, 3) of the ground
     slid       (hands, 3) of what hands hold
     sheet_memory  (triangles, numbers) of sheets
+    hinge_memory  (hinges, numbers) of ropes
     """
 
     memory: torch.Tensor
@@ -93,6 +97,7 @@ class Carried:
     anchor: torch.Tensor
     slid: torch.Tensor
     sheet_memory: torch.Tensor
+    hinge_memory: torch.Tensor
 
     @classmethod
     def of(cls, inputs: Inputs) -> Carried:
@@ -263,7 +268,7 @@ class Adjoint(Carrier):
 
         memories = memory[batch.constants["spring"].long()] if batch.remembering else memory.new_empty((0, memory.shape[1]))
         cells = batch.cell_starts[-1]
-        self.counts = {"hinge": hinges, "facet": batch.facet_starts[-1], **dict.fromkeys(CELLS, cells)}
+        self.counts = {**dict.fromkeys(HINGES, hinges), "facet": batch.facet_starts[-1], **dict.fromkeys(CELLS, cells)}
         self.counts["layer"] = batch.node_count
         panels, folds = batch.panel_starts[-1], batch.fold_count
         self.counts |= dict.fromkeys(SHEETS, panels)
@@ -307,7 +312,7 @@ class Adjoint(Carrier):
         nodal = [s for s in (*STAGED, "links") if s not in self.counts]
         shares = by_system(torch.cat([t[s].reshape(batch.node_count, -1) for s in nodal], 1), batch.starts)
         parts = dict(zip(nodal, shares.split([batch.laws.width(s) for s in nodal], 1), strict=True))
-        parts["hinge"] = by_system(t["hinge"], batch.hinge_starts)
+        parts |= {s: by_system(t[s], batch.hinge_starts) for s in HINGES}
         parts["layer"] = by_system(t["layer"], batch.starts)
         parts["facet"] = by_system(t["facet"], batch.facet_starts)
         parts |= {s: by_system(t[s], batch.cell_starts) for s in CELLS}

@@ -17,9 +17,10 @@ How directors turn is in ``twist``.
 
 import warp as wp
 
+from .fabrics import ROPE
 from .hinges import FOLD, SHORT
 
-__all__ = ["make_rods", "reading", "rod_functions", "rod_geometry"]
+__all__ = ["hinge_laws", "make_rods", "reading", "rod_functions", "rod_geometry"]
 
 WOUND = 0.05  # least cos(tau / 2) that counts: beyond 174 degrees of twist a frame half way is nowhere
 BLUNT = 1.0e-3  # rad: below this angle a hinge without directors forgets which way it was bent by nature
@@ -74,10 +75,49 @@ def _parts(kit):
     return carried, tangent, folded, twist_of, halved
 
 
+def hinge_laws(kit):
+    """(resisted, remembered): a hinge's moment by its law and what it remembers, and what it remembers after a substep (``fabrics``)."""
+    R, vec, ph, laws = kit.R, kit.vec, kit.vectors["hinge"], kit.laws
+    pf, pb, pq = (kit.vectors[s] for s in ("hinge_flow", "hinge_branch", "hinge_memory"))
+    law, flowed, flow, recall, branch = laws.hinge, laws.hinge_flowed, laws.hinge_flow, laws.hinge_recall, laws.hinge_branch
+
+    @wp.func
+    def beyond(kappa: vec, natural: vec, span: R):
+        """Curvature [1/m] beyond the natural one."""
+        found = (kappa - natural) / span
+        return vec(found[0], found[1], R(0.0))
+
+    @wp.func
+    def forgetful(kappa: vec, rate: vec, natural: vec, span: R, framed: R, q: pq, p: ph, p_branch: pb):
+        return law(kappa, rate, natural, span, p)
+
+    @wp.func
+    def resisted(kappa: vec, rate: vec, natural: vec, span: R, framed: R, q: pq, p: ph, p_branch: pb):
+        """``framed``: 1 where its segments have directors; else it remembers nothing."""
+        found = law(kappa - flowed(kappa, q) * span, rate, natural, span, p)
+        if framed > R(0.0):
+            beside = branch(beyond(kappa, natural, span), R(ROPE), q, p_branch) * span
+            found = found + law(natural + beside, vec(), natural, span, p) - law(natural, vec(), natural, span, p)
+        return found
+
+    @wp.func
+    def unchanged(kappa: vec, natural: vec, span: R, q: pq, dt: R, p_flow: pf, p_branch: pb):
+        return q
+
+    @wp.func
+    def remembered(kappa: vec, natural: vec, span: R, q: pq, dt: R, p_flow: pf, p_branch: pb):
+        whole = beyond(kappa, natural, span)
+        return flow(whole - flowed(whole, q), R(ROPE), q, dt, p_flow) + recall(whole, R(ROPE), q, dt, p_branch)
+
+    return (resisted, remembered) if kit.hinges_remembering else (forgetful, unchanged)
+
+
 def rod_functions(kit):
     """(framed forces, plain forces): pure functions of positions, velocities and directors."""
-    R, vec, ph, law = kit.R, kit.vec, kit.vectors["hinge"], kit.laws.hinge
+    R, vec, ph = kit.R, kit.vec, kit.vectors["hinge"]
+    pf, pb, pq = (kit.vectors[s] for s in ("hinge_flow", "hinge_branch", "hinge_memory"))
     carried, tangent, folded, twist_of, halved = _parts(kit)
+    resisted, remembered = hinge_laws(kit)
 
     @wp.func
     def pushed(
@@ -98,7 +138,9 @@ def rod_functions(kit):
         natural: vec,
         span: R,
         flexure: R,
+        q: pq,
         p: ph,
+        p_branch: pb,
     ):
         """Forces on nodes a and c.
 
@@ -133,12 +175,29 @@ def rod_functions(kit):
         p1 = vb - va
         p2 = vc - vb
         rate = vec(wp.dot(f1, p1) + wp.dot(g1, p2), wp.dot(f2, p1) + wp.dot(g2, p2), wp.dot(f3, p1) + wp.dot(g3, p2))
-        m = law(kappa, rate, natural, span, p) * flexure
+        m = resisted(kappa, rate, natural, span, twists, q, p, p_branch) * flexure
         return f1 * m[0] + f2 * m[1] + f3 * m[2], -(g1 * m[0] + g2 * m[1] + g3 * m[2])
 
     @wp.func
-    def framed(a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, p: ph):
-        """Forces on nodes a and c of a hinge between two segments with directors."""
+    def framed(
+        a: vec,
+        b: vec,
+        c: vec,
+        va: vec,
+        vb: vec,
+        vc: vec,
+        d: vec,
+        e: vec,
+        natural: vec,
+        span: R,
+        flexure: R,
+        q: pq,
+        dt: R,
+        p: ph,
+        p_flow: pf,
+        p_branch: pb,
+    ):
+        """Forces on nodes a and c of a hinge between two segments with directors, and what it remembers after ``dt``."""
         t = tangent(a, b)
         u = tangent(b, c)
         kb = wp.cross(t, u) * (R(2.0) / folded(t, u))
@@ -148,8 +207,9 @@ def rod_functions(kit):
         m2 = (wp.cross(t, d) + wp.cross(u, e)) * half
         kappa = vec(R(0.5) * wp.dot(kb, m2), R(-0.5) * wp.dot(kb, m1), tau)
         lean = R(0.5) * wp.sin(R(0.5) * tau) * half
-        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(1.0), lean, R(0.0), R(0.0), natural, span, flexure, p)
-        return fa, fc
+        then = remembered(kappa, natural, span, q, dt, p_flow, p_branch)
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(1.0), lean, R(0.0), R(0.0), natural, span, flexure, then, p, p_branch)
+        return fa, fc, then
 
     @wp.func
     def plain(a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, natural: vec, span: R, flexure: R, p: ph):
@@ -171,7 +231,7 @@ def rod_functions(kit):
         kappa = vec(R(0.5) * wp.dot(kb, m2), R(-0.5) * wp.dot(kb, m1), R(0.0))
         way = kappa / wp.sqrt(wp.dot(kb, kb) + R(BLUNT * BLUNT))
         wanted = way * natural[0]
-        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(0.0), R(0.0), -way[1], way[0], wanted, span, flexure, p)
+        fa, fc = pushed(a, b, c, va, vb, vc, kb, m1, m2, kappa, R(0.0), R(0.0), -way[1], way[0], wanted, span, flexure, pq(), p, pb())
         return fa, fc
 
     return framed, plain
@@ -199,21 +259,26 @@ def reading(kit):
 
 def make_rods(kit):
     """(bend, bent): a hinge's forces, what a node gets of them."""
-    vec, World, ph = kit.vec, kit.World, kit.vectors["hinge"]
-    get_x, get_v = kit.get_x, kit.get_v
+    R, vec, World, ph, pq = kit.R, kit.vec, kit.World, kit.vectors["hinge"], kit.vectors["hinge_memory"]
+    get_x, get_v, remembering = kit.get_x, kit.get_v, kit.hinges_remembering
+    load_flow, load_branch = kit.load["hinge_flow"], kit.load["hinge_branch"]
     framed, plain = rod_functions(kit)
     natural_of, _ = reading(kit)
 
     @wp.func
-    def bend(w: World, slot: int, h: int, p: ph):
+    def bend(w: World, slot: int, after: int, b: int, h: int, dt: R, p: ph):
+        """Leave the forces of hinge ``h``, and what it then remembers in slot ``after``."""
+        q = pq()
+        if wp.static(remembering):
+            q = w.hinge_memory[slot, h]
         if w.joint[h, 0] >= 0:
             i = slot * w.nodes + w.joint[h, 0]
             j = slot * w.nodes + w.joint[h, 1]
             k = slot * w.nodes + w.joint[h, 2]
             natural, span, flexure = natural_of(w, h)
-            a = get_x(w.state, i)
-            b = get_x(w.state, j)
-            c = get_x(w.state, k)
+            xa = get_x(w.state, i)
+            xb = get_x(w.state, j)
+            xc = get_x(w.state, k)
             va = get_v(w.state, i)
             vb = get_v(w.state, j)
             vc = get_v(w.state, k)
@@ -222,11 +287,15 @@ def make_rods(kit):
             if w.sides[h, 0] >= 0:
                 d = w.directors[slot, w.sides[h, 0]]
                 e = w.directors[slot, w.sides[h, 1]]
-                fa, fc = framed(a, b, c, va, vb, vc, d, e, natural, span, flexure, p)
+                fa, fc, q = framed(
+                    xa, xb, xc, va, vb, vc, d, e, natural, span, flexure, q, dt, p, load_flow(w.table, b), load_branch(w.table, b)
+                )
             else:
-                fa, fc = plain(a, b, c, va, vb, vc, natural, span, flexure, p)
+                fa, fc = plain(xa, xb, xc, va, vb, vc, natural, span, flexure, p)
             w.moment[h, 0] = fa
             w.moment[h, 1] = fc
+        if wp.static(remembering):
+            w.hinge_memory[after, h] = q
 
     @wp.func
     def bent(w: World, i: int):

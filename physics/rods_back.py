@@ -10,17 +10,39 @@ __all__ = ["make_back_rods"]
 def make_back_rods(kit):
     """(back_bend, regained): a hinge's adjoint, and what a node gets of it and of its segments' and hinges' in the roll."""
     R, vec, World, Adjoint, ph = kit.R, kit.vec, kit.World, kit.Adjoint, kit.vectors["hinge"]
-    pair, give = kit.vectors["natural"], kit.give
+    pf, pb, pq = (kit.vectors[s] for s in ("hinge_flow", "hinge_branch", "hinge_memory"))
+    give_flow, give_branch, load_flow, load_branch = (
+        group[s] for group in (kit.give_all, kit.load) for s in ("hinge_flow", "hinge_branch")
+    )
+    pair, give, remembering = kit.vectors["natural"], kit.give, kit.hinges_remembering
     get_x, get_v, give_pair, give_hinge = kit.get_x, kit.get_v, kit.give_pair, kit.give_all["hinge"]
     framed, plain = rod_functions(kit)
     natural_of, _ = reading(kit)
 
     @wp.func
     def framed_dot(
-        a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, p: ph, ga: vec, gc: vec
+        a: vec,
+        b: vec,
+        c: vec,
+        va: vec,
+        vb: vec,
+        vc: vec,
+        d: vec,
+        e: vec,
+        natural: vec,
+        span: R,
+        flexure: R,
+        q: pq,
+        dt: R,
+        p: ph,
+        p_flow: pf,
+        p_branch: pb,
+        ga: vec,
+        gc: vec,
+        on: pq,
     ):
-        fa, fc = framed(a, b, c, va, vb, vc, d, e, natural, span, flexure, p)
-        return wp.dot(fa, ga) + wp.dot(fc, gc)
+        fa, fc, then = framed(a, b, c, va, vb, vc, d, e, natural, span, flexure, q, dt, p, p_flow, p_branch)
+        return wp.dot(fa, ga) + wp.dot(fc, gc) + wp.dot(on, then)
 
     @wp.func
     def plain_dot(a: vec, b: vec, c: vec, va: vec, vb: vec, vc: vec, natural: vec, span: R, flexure: R, p: ph, ga: vec, gc: vec):
@@ -28,8 +50,8 @@ def make_back_rods(kit):
         return wp.dot(fa, ga) + wp.dot(fc, gc)
 
     @wp.func
-    def back_bend(w: World, a: Adjoint, slot: int, h: int, p: ph):
-        """Leaves the adjoint of the forces of hinge ``h`` with respect to its nodes and directors."""
+    def back_bend(w: World, a: Adjoint, slot: int, b: int, h: int, dt: R, p: ph):
+        """Leaves the adjoint of the forces of hinge ``h`` with respect to its nodes and directors, and to what it remembered."""
         if w.joint[h, 0] >= 0:
             i = w.joint[h, 0]
             j = w.joint[h, 1]
@@ -46,9 +68,20 @@ def make_back_rods(kit):
             if w.sides[h, 0] >= 0:
                 d = w.directors[slot, w.sides[h, 0]]
                 e = w.directors[slot, w.sides[h, 1]]
-                ha, hb, hc, ua, ub, uc, hd, he, hn, _s, hf, hp, _ga, _gc = wp.grad(framed_dot)(
-                    xa, xb, xc, va, vb, vc, d, e, natural, span, flexure, p, ga, gc
+                q = pq()
+                on = pq()
+                if wp.static(remembering):
+                    q = w.hinge_memory[slot, h]
+                    on = a.hinge_memory[h]
+                p_flow = load_flow(w.table, b)
+                p_branch = load_branch(w.table, b)
+                ha, hb, hc, ua, ub, uc, hd, he, hn, _s, hf, hq, _dt, hp, hw, hr, _ga, _gc, _on = wp.grad(framed_dot)(
+                    xa, xb, xc, va, vb, vc, d, e, natural, span, flexure, q, dt, p, p_flow, p_branch, ga, gc, on
                 )
+                if wp.static(remembering):
+                    a.hinge_memory[h] = hq
+                    give_flow(a.hinge_flow, h, hw)
+                    give_branch(a.hinge_branch, h, hr)
                 a.bent[h, 0] = ha
                 a.bent[h, 1] = hb
                 a.bent[h, 2] = hc

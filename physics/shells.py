@@ -247,13 +247,13 @@ def make_back_shells(kit):
         return work(plate(kappa, p), d)
 
     @wp.func
-    def fabric_dot(s: vec, t: vec, q: pq, dt: R, p: pm, p_flow: pw, p_branch: pb, ds: vec, dt_: vec, weight: R, on: pq):
-        stress, after = fabric(strained(s, t), q, dt, p, p_flow, p_branch)
-        return work(stress, changed(s, t, ds, dt_)) * weight + wp.dot(on, after)
+    def fabric_dot(s: vec, t: vec, q: pq, h: R, p: pm, p_flow: pw, p_branch: pb, ds: vec, dt: vec, weight: R, on: pq):
+        stress, after = fabric(strained(s, t), q, h, p, p_flow, p_branch)
+        return work(stress, changed(s, t, ds, dt)) * weight + wp.dot(on, after)
 
     @wp.func
-    def fold_fabric_dot(kappa: vec, q: pq, dt: R, p: pp, p_flow: pw, p_branch: pb, d: vec, weight: R, on: pq):
-        moments, after = fold_fabric(kappa, q, dt, p, p_flow, p_branch)
+    def fold_fabric_dot(kappa: vec, q: pq, h: R, p: pp, p_flow: pw, p_branch: pb, d: vec, weight: R, on: pq):
+        moments, after = fold_fabric(kappa, q, h, p, p_flow, p_branch)
         return work(moments, d) * weight + wp.dot(on, after)
 
     @wp.func

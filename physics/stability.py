@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from .cells import point_sites
-from .fabrics import fabric_twin
+from .fabrics import ROPE, fabric_twin
 from .facets import enclosed
 from .hinges import FOLD
 from .materials import point_twin
@@ -21,6 +21,7 @@ from .terms.stages import (
     CELLS,
     EASED,
     HardTerm,
+    HingeBranchTerm,
     MembraneTerm,
     PlateTerm,
     SheetBranchTerm,
@@ -35,8 +36,8 @@ __all__ = ["stable_rounds", "stable_step", "stable_stepping", "stable_substeps"]
 
 CLOSE = 0.02  # relative, to which a largest eigenvalue is found; what is missing then is in the margin
 MARGIN = 1.1
-MEMORIES, RESISTS = (SheetFlowTerm.stage, SheetBranchTerm.stage), (MembraneTerm.stage, PlateTerm.stage)
-DAMPS = (ViscousMembraneTerm.stage, ViscousPlateTerm.stage)
+REMEMBERING, RESISTING = (SheetFlowTerm.stage, SheetBranchTerm.stage), (MembraneTerm.stage, PlateTerm.stage)
+DAMPING = (ViscousMembraneTerm.stage, ViscousPlateTerm.stage)
 INSTANT = 1e-9  # s, in which nothing relaxes
 MOST_ROUNDS = 20  # of damping: more would let rounding errors of float32 grow
 EASED_LIMIT = 3.0  # of lam dt^2, for 4 without rounds: 3.3 in two of them and more, and 4 - 2 z in one that takes z = 1/2
@@ -167,11 +168,11 @@ def _largest(pull, masses, free):
 
 def _sheet_fastest(system, free, *, damping):
     """Largest eigenvalue [1/s^2, or 1/s of the ``damping``] of the free nodes' stiffness over mass, by a sheet's terms, as it starts."""
-    if system.sheet is None or not any(t.stage in (DAMPS if damping else RESISTS) for t in system.terms):
+    if system.sheet is None or not any(t.stage in (DAMPING if damping else RESISTING) for t in system.terms):
         return 0.0
     x, step = system.positions, 1e-6 * np.sqrt(system.sheet.areas.min())
     if damping:
-        rates = [_summed(system.terms, stage) for stage in DAMPS]
+        rates = [_summed(system.terms, stage) for stage in DAMPING]
     else:
         strains = _resisting(system.sheet, x, system.terms)
 
@@ -192,7 +193,7 @@ def _summed(terms, stage):
 def _resisting(sheet, x, terms):
     """What sheets resist strains and curvatures with, at once, as laws of these: springs beside them pull at nothing at ``x``, so that none
     of them gives way."""
-    found, remembering = {}, [t for t in terms if t.stage in MEMORIES]
+    found, remembering = {}, [t for t in terms if t.stage in REMEMBERING]
     springs = np.array([t.stage == SheetBranchTerm.stage for t in remembering], bool)[:, None]
 
     def remembered(stage):
@@ -202,8 +203,8 @@ def _resisting(sheet, x, terms):
 
         return seen
 
-    sheet_forces(sheet, x, *(remembered(stage) for stage in RESISTS))
-    return [lambda whole, stage=stage: fabric_twin(terms, whole, found[stage], INSTANT, stage=stage)[0] for stage in RESISTS]
+    sheet_forces(sheet, x, *(remembered(stage) for stage in RESISTING))
+    return [lambda whole, stage=stage: fabric_twin(terms, whole, found[stage], INSTANT, stage=stage)[0] for stage in RESISTING]
 
 
 def stable_rounds(system: System, dt: float) -> int:
@@ -238,10 +239,13 @@ def _hinge_rows(system, free):
     reach = np.stack([1 / length[:, 0], (1 / length).sum(1), 1 / length[:, 1]], 1)  # (H, 3) 1/m, by node
     bends = reach * (2 / fold)[:, None]  # 1 / cos^2(a / 2) = 2 / (1 + cos a)
     twists = reach * (np.sqrt(np.maximum(1 - cosine**2, 0)) / fold)[:, None]  # |kb| / 2 = sin a / (1 + cos a)
-    still, span = np.zeros((len(length), 3)), system.span[:, None]
+    still, span, stiff = np.zeros((len(length), 3)), system.span[:, None], system.flexure[:, None]
+
+    beside = [t for t in system.terms if t.stage == HingeBranchTerm.stage]
 
     def moments(kappa, rate):
-        return sum(t.twin(kappa, rate, still, span, **t.values) for t in terms) * system.flexure[:, None]
+        more = sum((t.twin(kappa / span, ROPE, still, **t.values) * span for t in beside), still)
+        return sum(t.twin(kappa, rate, still, span, **t.values) + t.twin(more, still, still, span, **t.values) for t in terms) * stiff
 
     for which in (0, 1):  # what a unit of each curvature, then of each rate, does to its moment: laws are linear, or taken so
         ones = [[still, still] for _ in range(3)]

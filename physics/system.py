@@ -285,4 +285,8 @@ def _checked_terms(terms):
     altering = [t.name for t in terms if t.stage in ("flow", "material", "branch")]
     if altering and not any(isinstance(t, SolidTerm) and t.moduli is not None for t in terms):
         raise ValueError(f"{altering[0]} alters the elasticity of a solid and needs a term that has one, such as neo_hookean; got none")
+    for remembering, elastic, such in (("sheet", ("membrane", "plate"), "membrane"), ("hinge", ("hinge",), "bending")):
+        own = [t.name for t in terms if t.stage in (f"{remembering}_flow", f"{remembering}_branch")]
+        if own and not any(t.stage in elastic for t in terms):
+            raise ValueError(f"{own[0]} remembers what an elasticity bears and needs a term that has one, such as {such}; got none")
     return terms

@@ -15,6 +15,7 @@ from .points import material_points
 from .sheets import Sheet
 from .system import FILLED, System
 from .terms import (
+    Bending,
     ControllerSprings,
     Dashpot,
     Gravity,
@@ -31,7 +32,7 @@ from .terms import (
     Springs,
     Term,
 )
-from .terms.stages import CELLS, SHEETS
+from .terms.stages import CELLS, HINGES, SHEETS
 from .topology import rope_hinges
 
 __all__ = ["AIR", "NEUTRAL", "STILL", "TABLE", "G", "body", "fault", "run", "thrown"]
@@ -86,7 +87,7 @@ def thrown(term, share, table=True, *, roped=None):
     hand = x[:1] + [0.0, 0.0, 0.02] + path[:, None, None] ** 2 * [0.05, 0.02, 0.05]
     near = np.argsort(np.linalg.norm(x - hand[0], axis=1))[:5]
     speed, grips, hinged = rng.normal(size=x.shape) * 0.3, [-1], {}
-    if term.stage == "hinge" if roped is None else roped:
+    if term.stage in HINGES if roped is None else roped:
         rope, held = wound(path**2)
         chain = count + np.arange(len(rope))
         x, speed, hand = np.concatenate([x, rope]), np.concatenate([speed, 0 * rope]), np.concatenate([hand, held], 1)
@@ -101,11 +102,14 @@ def thrown(term, share, table=True, *, roped=None):
     if term.stage == "slip":
         return carried(term, share)
     extra = () if share is None else (term,)
+    bent = (Bending,) if term.stage in HINGES[1:] else ()  # what remembers, remembers bends
     stiff = np.full(len(springs) + len(ties), 40.0)
     plane = {"adhesion_normal_z": 1.0} if extra == (GroundAdhesion,) else {}
     values = dict(gravity_z=-G, dashpot_damping=0.5, drag_damping=1.0, collide_elas=0.2, **(TABLE if table else {}), **plane)
     if extra and term.effect:
         values |= {name: share * value for name, value in term.stands_for().typical.items()}
+    if bent:
+        values |= dict(bending_stiffness=2e-3)
     if term in AIR:
         extra = ()
     given: dict[str, Any] = dict(
@@ -120,7 +124,7 @@ def thrown(term, share, table=True, *, roped=None):
         **hinged,
     )
     given |= values
-    return body(x, *extra, **given)
+    return body(x, *bent, *extra, **given)
 
 
 def bar():

@@ -21,7 +21,7 @@ A rope resists twist by a fifth of its bending stiffness at least (an elastic ro
 
 import warp as wp
 
-from .rods import reading, rod_geometry
+from .rods import hinge_laws, reading, rod_geometry
 
 __all__ = ["make_twist", "twist_functions"]
 
@@ -34,7 +34,8 @@ IDLE = 1.0e-12  # N m: stiffness against roll that counts as none
 
 def twist_functions(kit):
     """(carry, wring, spin, unspin): pure functions of positions and directors."""
-    R, vec, four, ph, law = kit.R, kit.vec, kit.four, kit.vectors["hinge"], kit.laws.hinge
+    R, vec, four, ph = kit.R, kit.vec, kit.four, kit.vectors["hinge"]
+    pq, pb, law = kit.vectors["hinge_memory"], kit.vectors["hinge_branch"], hinge_laws(kit)[0]
     carried, tangent, measured = rod_geometry(kit)
 
     @wp.func
@@ -43,15 +44,16 @@ def twist_functions(kit):
         return carried(d, tangent(b, c), tangent(b2, c2))
 
     @wp.func
-    def wring(a: vec, b: vec, c: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, p: ph):
-        """Of a hinge's energy [N m]: slope and curvature by the sum of its segments' angles, by their difference."""
+    def wring(a: vec, b: vec, c: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, r: pq, p: ph, p_branch: pb):
+        """Of a hinge's energy [N m], which remembers ``r``: slope and curvature by the sum of its segments' angles, by their difference."""
+        one = R(1.0)
         kappa = measured(a, b, c, d, e)
         k1 = R(0.5) * kappa[1]  # by the sum, which is 2 m
         k2 = R(-0.5) * kappa[0]
-        m = law(kappa, vec(), natural, span, p)
-        s1 = law(kappa + vec(R(1.0), R(0.0), R(0.0)), vec(), natural, span, p)[0] - m[0]
-        s2 = law(kappa + vec(R(0.0), R(1.0), R(0.0)), vec(), natural, span, p)[1] - m[1]
-        s3 = law(kappa + vec(R(0.0), R(0.0), R(1.0)), vec(), natural, span, p)[2] - m[2]
+        m = law(kappa, vec(), natural, span, one, r, p, p_branch)
+        s1 = law(kappa + vec(one, R(0.0), R(0.0)), vec(), natural, span, one, r, p, p_branch)[0] - m[0]
+        s2 = law(kappa + vec(R(0.0), one, R(0.0)), vec(), natural, span, one, r, p, p_branch)[1] - m[1]
+        s3 = law(kappa + vec(R(0.0), R(0.0), one), vec(), natural, span, one, r, p, p_branch)[2] - m[2]
         firm = wp.max(R(0.5 * LIMP) * (s1 + s2) - s3, R(0.0))
         q = s1 * k1 * k1 + s2 * k2 * k2 - R(0.25) * (m[0] * kappa[0] + m[1] * kappa[1])
         return four(m[0] * k1 + m[1] * k2, q, m[2] + firm * kappa[2], s3 + firm) * flexure
@@ -177,8 +179,8 @@ def solver(kit):
 
 def make_twist(kit):
     """(carry_along, wrung, balance, turn): the phases in which a substep's directors are made, of segments, hinges, chains, segments."""
-    R, World, ph = kit.R, kit.World, kit.vectors["hinge"]
-    get_x = kit.get_x
+    R, World, ph, pq = kit.R, kit.World, kit.vectors["hinge"], kit.vectors["hinge_memory"]
+    get_x, load_branch, remembering = kit.get_x, kit.load["hinge_branch"], kit.hinges_remembering
     carry, wring, spin, _ = twist_functions(kit)
     natural_of, between = reading(kit)
     solve, _ = solver(kit)
@@ -190,7 +192,8 @@ def make_twist(kit):
         w.directors[there, s] = carry(w.directors[here, s], b, c, b2, c2)
 
     @wp.func
-    def wrung(w: World, here: int, there: int, h: int, p: ph):
+    def wrung(w: World, here: int, there: int, system: int, h: int, p: ph):
+        """Leave the torques of hinge ``h`` of ``system``, by what it remembers after the substep."""
         if w.joint[h, 0] >= 0 and w.sides[h, 0] >= 0:
             natural, span, flexure = natural_of(w, h)
             a = get_x(w.state, there * w.nodes + w.joint[h, 0])
@@ -198,7 +201,10 @@ def make_twist(kit):
             c = get_x(w.state, there * w.nodes + w.joint[h, 2])
             d = w.directors[there, w.sides[h, 0]]
             e = w.directors[there, w.sides[h, 1]]
-            w.torque[here, h] = wring(a, b, c, d, e, natural, span, flexure, p)
+            r = pq()
+            if wp.static(remembering):
+                r = w.hinge_memory[there, h]
+            w.torque[here, h] = wring(a, b, c, d, e, natural, span, flexure, r, p, load_branch(w.table, system))
 
     @wp.func
     def balance(w: World, here: int, c: int):

@@ -17,6 +17,8 @@ __all__ = ["make_back_twist"]
 def make_back_twist(kit):
     """(back_turn, back_balance, back_wrung, back_carry): the phases of ``make_twist`` backwards."""
     R, vec, four, World, Adjoint, ph = kit.R, kit.vec, kit.four, kit.World, kit.Adjoint, kit.vectors["hinge"]
+    pq, pb, remembering = kit.vectors["hinge_memory"], kit.vectors["hinge_branch"], kit.hinges_remembering
+    load_branch, give_branch = kit.load["hinge_branch"], kit.give_all["hinge_branch"]
     pair, give = kit.vectors["natural"], kit.give
     get_x, give_pair, give_hinge = kit.get_x, kit.give_pair, kit.give_all["hinge"]
     carry, wring, spin, unspin = twist_functions(kit)
@@ -28,8 +30,8 @@ def make_back_twist(kit):
         return wp.dot(carry(d, b, c, b2, c2), g)
 
     @wp.func
-    def wring_dot(a: vec, b: vec, c: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, p: ph, g: four):
-        return wp.dot(wring(a, b, c, d, e, natural, span, flexure, p), g)
+    def wring_dot(a: vec, b: vec, c: vec, d: vec, e: vec, natural: vec, span: R, flexure: R, r: pq, p: ph, p_branch: pb, g: four):
+        return wp.dot(wring(a, b, c, d, e, natural, span, flexure, r, p, p_branch), g)
 
     @wp.func
     def spin_dot(d: vec, b: vec, c: vec, roll: R, g: vec):
@@ -67,7 +69,7 @@ def make_back_twist(kit):
         lifts(w, k - 1, c, w.rolled, (k - 1) * w.segment.shape[0], a.rolled, a.pivot)
 
     @wp.func
-    def back_wrung(w: World, a: Adjoint, k: int, h: int, p: ph):
+    def back_wrung(w: World, a: Adjoint, k: int, system: int, h: int, p: ph):
         if w.joint[h, 0] >= 0 and w.sides[h, 0] >= 0:
             before = w.sides[h, 0]
             after = w.sides[h, 1]
@@ -91,7 +93,14 @@ def make_back_twist(kit):
             sum = diagonal + beside - (l1 + l2) * (roll1 + roll2)
             difference = diagonal - beside - (l1 - l2) * (roll1 - roll2) + R(BLUNT) * lift[1]
             g = four(-(l1 + l2), sum, l1 - l2, difference)
-            g1, g2, g3, gd, ge, gn, _s, gf, gp, _g = wp.grad(wring_dot)(x1, x2, x3, d, e, natural, span, flexure, p, g)
+            r = pq()
+            if wp.static(remembering):
+                r = w.hinge_memory[k, h]
+            p_branch = load_branch(w.table, system)
+            g1, g2, g3, gd, ge, gn, _s, gf, gr, gp, gb, _g = wp.grad(wring_dot)(x1, x2, x3, d, e, natural, span, flexure, r, p, p_branch, g)
+            if wp.static(remembering):
+                a.hinge_memory[h] = a.hinge_memory[h] + gr
+                give_branch(a.hinge_branch, h, gb)
             a.wrung[h, 0] = g1
             a.wrung[h, 1] = g2
             a.wrung[h, 2] = g3

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...datasets.concealed.world import FPS
 from ...datasets.synthetic.simulate import GRAVITY
-from ...diagnosis.hypotheses import catalogue
 from ...diagnosis.verdict import NONE, OTHER
+from ...physics.catalogue import terms
 from .schema import NAMED
 
 __all__ = ["Row", "amplitude", "physical"]
@@ -133,7 +133,7 @@ class Row:
 
 def amplitude(effect: str, parameters: Mapping[str, Mapping]) -> float:
     """The size of an effect from an answer's parameters: the length of the vector of its amplitudes; NaN where they are not there."""
-    for term in catalogue():
+    for term in (t for t in terms().values() if t.effect):
         names = term.stands_for().amplitudes
         if term.stands_for().name == effect and all(n in parameters for n in names):
             return float(np.linalg.norm([parameters[n]["value"] for n in names]))

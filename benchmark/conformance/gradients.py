@@ -88,11 +88,13 @@ VALUES = dict(
     grip_rate=300.0,
     slide_burden=20.0,
     slide_weights=0.5,
+    rope_rub=0.01,
+    rope_rub_strain=0.01,
     layer_thickness=0.008,
     layer_friction=0.4,
 )
 # terms that only change what another one reads, or resist what only another one does: a rope twists where its natural curvature asks for it
-READ_BY = {"natural_curvature": Bending, "torsion": Bending}
+READ_BY = dict.fromkeys(("natural_curvature", "torsion", "rope_creep", "rope_friction", "rope_relaxing", "rope_yielding"), Bending)
 REACH = {"braces": 0.045}  # m, of springs that skip the rope's nodes; of others, 0.035
 
 
@@ -163,8 +165,10 @@ def solid(term, seed=0):
 
 
 def draped(*kinds, seed=0):
-    """A wavy sheet, its triangles of all shapes, that a hand leads by a side and that falls, with terms of ``kinds``."""
+    """A wavy sheet, its triangles of all shapes, that a hand leads by a side and that falls, with ``kinds`` at their typical effect or some
+    of its parameters."""
     rng = np.random.default_rng(seed)
+    typical: dict[str, float] = VALUES | {n: v for k in kinds if k.effect for n, v in k.stands_for().typical.items() if n not in VALUES}
     flat = 0.02 * np.stack(np.meshgrid(np.arange(6.0), np.arange(4.0), indexing="ij"), -1).reshape(-1, 2)
     flat += rng.uniform(-0.004, 0.004, flat.shape)
     points = np.column_stack([flat, 0.006 * np.sin(50 * flat[:, 0]) + 0.004 * np.cos(60 * flat[:, 1])])
@@ -182,7 +186,7 @@ def draped(*kinds, seed=0):
         grips=held,
         sheet=sheet,
         terms=[
-            k({p.name: VALUES[p.name] for p in k.parameters if p.name in VALUES})
+            k({p.name: typical[p.name] for p in k.parameters if p.name in typical})
             for k in dict.fromkeys((Gravity, Membrane, PlateBending, *kinds))
         ],
     )

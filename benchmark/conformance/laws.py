@@ -127,10 +127,10 @@ def random_inputs(stage, rng):
         known = dict(deformed=deformed, rate=10 * rate, stress=stress, home=x[0], at=x[0], mu=positive[0], lame=positive[1])
         known |= dict(q=(q + np.swapaxes(q, 1, 2)) / 2, dt=0.1 * positive[2])
         return [known[name] for name in ARGUMENTS[stage]]
-    if stage in ("sheet_flow", "sheet_branch"):  # of strains and of curvatures
-        curved = rng.integers(0, 2, SAMPLES) * 1.0
-        strain, q = (0.2 * (1 + 200 * curved[:, None]) * part for part in x)
-        return [strain, curved, 0.01 * positive[0] if stage == "sheet_flow" else q]
+    if stage in ("sheet_flow", "sheet_branch", "hinge_flow", "hinge_branch"):  # of strains and of curvatures
+        curved = rng.integers(0, 2, SAMPLES) * 1.0 if stage.startswith("sheet") else np.full(SAMPLES, 2.0)
+        strain, q = (np.where(curved > 0, 40.0, 0.2)[:, None] * part for part in x)
+        return [strain, curved, 0.01 * positive[0] if stage.endswith("flow") else q]
     if stage in SHEETS:  # strains, curvatures that are as sharp as a hand, rates
         return [{"membrane": 0.2, "plate": 30.0}.get(stage, 10.0) * x[0]]
     if stage == "layer":  # within the thickness and beyond

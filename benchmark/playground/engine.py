@@ -9,7 +9,7 @@ import torch
 
 from ...methods.base import Diverged
 from ...physics.batch import Batch, Carried, first_bad
-from ...physics.march import World
+from ...physics.march import MEMORIES, World
 from ...physics.system import System
 from ...physics.terms.stages import TouchTerm
 from .live import Forces, Live
@@ -109,13 +109,7 @@ class EngineLive(Live):
             out, x, v, carried = batch.march(now.frame if self._timed else 0, 1, inputs, whole=True)
         if first_bad(batch.split(out)[0]) >= 0:
             return None
-        changes = dict(
-            memory=batch.remembering,
-            directors=batch.hinged,
-            cell_memory=batch.cells_remembering,
-            anchor=batch.touching,
-            slid=batch.slipping,
-        )
+        changes = {"memory": batch.remembering} | {m.name: getattr(batch, m.kept) for m in MEMORIES}
         same = {name: getattr(now.carried, name) for name, change in changes.items() if not change}  # many moments are kept
         return Moment(now.frame + 1, x, v, replace(carried, **same), row)
 
@@ -137,11 +131,15 @@ class EngineLive(Live):
     @property
     def stress(self):
         """Of the elasticity at this moment, at the node that is nearest to a particle."""
-        made, memory = self._numbers(), self.now.carried.cell_memory.double().cpu().numpy()
+        made, carried, batch = self._numbers(), self.now.carried, self.batch
         one = self.system.with_values(**{n: float(self.inputs.table[0, self.batch.column(n)]) for n in self.system.values})
         springs = dict(rest=made.rest.double().cpu().numpy(), stiffness=made.stiffness.double().cpu().numpy())
-        cells = dict(memory=memory.reshape(*memory.shape[:2], -1, 3, 3)) if self.batch.cells_remembering else {}
-        found = node_stress(one, self.nodes, **springs, **cells)
+        known = {}
+        if batch.cells_remembering:
+            known = dict(memory=carried.cell_memory.double().cpu().numpy().reshape(*carried.cell_memory.shape[:2], -1, 3, 3))
+        if batch.sheets_remembering:
+            known = dict(memory=carried.sheet_memory.double().cpu().numpy().reshape(len(carried.sheet_memory), -1, 2, 3)[:, :, 0])
+        found = node_stress(one, self.nodes, **springs, **known)
         return None if found is None else (self.of_particles(found[0]), found[1])
 
     def of_particles(self, values: np.ndarray) -> np.ndarray:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...physics.cells import point_sites
+from ...physics.fabrics import fabric_twin
 from ...physics.materials import point_twin
 from ...physics.solids import gradients, strain_modes
 from ...physics.system import System
-from ...physics.terms.stages import AxialTerm, MembraneTerm, SolidTerm
+from ...physics.terms.stages import AxialTerm, MembraneTerm, SheetBranchTerm, SheetFlowTerm, SolidTerm
 
 __all__ = ["cell_stress", "node_stress", "sheet_stress", "spring_pulls", "von_mises"]
 
@@ -30,13 +31,14 @@ def node_stress(system: System, nodes, *, rest=None, stiffness=None, memory=None
     rods the mean pull or push [N] of those that end there.
 
     rest, stiffness  (E,) m and N of the springs, the system's unless given
-    memory           (cells, 8, flow and branch terms, 3, 3) of a solid that flows or relaxes, 0 unless given
+    memory           of what flows or relaxes, 0 unless given: (cells, 8, flow and branch terms, 3, 3) of a solid, (triangles, flow and
+                     branch terms, 3) of a sheet's strain
     """
     if system.grid is not None:
         grid = system.grid
         return _shared(cell_stress(system, nodes, memory), grid.nodes, grid.volume, len(nodes)), "Pa"
     if system.sheet is not None:
-        return _shared(sheet_stress(system, nodes), system.sheet.triangles, system.sheet.areas, len(nodes)), "N/m"
+        return _shared(sheet_stress(system, nodes, memory), system.sheet.triangles, system.sheet.areas, len(nodes)), "N/m"
     own = (system.springs < len(nodes)).all(1)
     if not own.any():
         return None
@@ -65,7 +67,7 @@ def _lateral(system):
     return lame / (lame + 2 * mu)
 
 
-def sheet_stress(system: System, nodes) -> np.ndarray:
+def sheet_stress(system: System, nodes, memory=None) -> np.ndarray:
     """(F,) N/m, von Mises' of the resultants a S a' / J in a sheet's triangles, a their tangents and J how much their area has grown."""
     sheet, nodes = system.sheet, np.asarray(nodes, float)
     assert sheet is not None
@@ -73,8 +75,9 @@ def sheet_stress(system: System, nodes) -> np.ndarray:
     tangents = np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2) @ sheet.inverse
     metric = np.swapaxes(tangents, 1, 2) @ tangents
     strain = np.stack([(metric[:, 0, 0] - 1) / 2, (metric[:, 1, 1] - 1) / 2, metric[:, 0, 1] / 2], -1)
-    terms = [t for t in system.terms if isinstance(t, MembraneTerm)]
-    a, b, c = np.sum([t.twin(strain, **t.values) for t in terms], axis=0).T
+    if memory is None:
+        memory = np.zeros((len(strain), sum(isinstance(t, (SheetFlowTerm, SheetBranchTerm)) for t in system.terms), 3))
+    a, b, c = fabric_twin(system.terms, strain, memory, 0.0, stage=MembraneTerm.stage)[0].T
     within = np.stack([np.stack([a, c], -1), np.stack([c, b], -1)], -1)
     grown = np.sqrt(np.maximum(np.linalg.det(metric), 1e-12))
     return von_mises(tangents @ within @ np.swapaxes(tangents, 1, 2) / grown[:, None, None])

@@ -33,7 +33,19 @@ FAR = 1e3  # m
 STILL = 5e-5  # m/s, RMS at a peak: what swings twice a second is within 4 um of its rest, and float32 still tells that from its errors
 SHORTER = (2, 8)  # times as many steps for runs that blow up: a cell that is crushed to half its width is some ten times as stiff
 LAUNCHES = 2  # corrections of a start velocity, where they help: in each a motion of a tenth of a period a frame is met to a tenth
-LIMITING = ("setup", "axial", "hinge", "facet", "solid", "membrane", "plate", "sheet_branch", "grip", "touch")  # stages that limit substeps
+LIMITING = (
+    "setup",
+    "axial",
+    "hinge",
+    "facet",
+    "solid",
+    "membrane",
+    "plate",
+    "sheet_branch",
+    "hinge_branch",
+    "grip",
+    "touch",
+)  # stages that limit substeps
 
 
 @dataclass(frozen=True, eq=False)

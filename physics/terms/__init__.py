@@ -50,6 +50,10 @@ from .plate_stiffening import PlateStiffening
 from .pressure import Pressure
 from .quadratic_drag import QuadraticDrag
 from .rest_shape import RestShape
+from .rope_creep import RopeCreep
+from .rope_friction import RopeFriction
+from .rope_relaxing import RopeRelaxing
+from .rope_yielding import RopeYielding
 from .second_hand import SecondHand
 from .self_collision import SelfCollision
 from .sheet_creep import SheetCreep
@@ -125,6 +129,10 @@ __all__ = [
     "Pressure",
     "QuadraticDrag",
     "RestShape",
+    "RopeCreep",
+    "RopeFriction",
+    "RopeRelaxing",
+    "RopeYielding",
     "SecondHand",
     "SelfCollision",
     "SheetCreep",

@@ -25,7 +25,7 @@ class SheetCreep(SheetFlowTerm):
     """
 
     name = "sheet_creep"
-    parameters = (Parameter("sheet_creep_rate", 0.0, 0.0, 20.0, "1/s", "share of its elastic strain and curvature that turns rest in 1 s"),)
+    parameters = (Parameter("sheet_creep_rate", 0.0, 0.0, 20.0, "1/s", "rate at which elastic strain and curvature become rest"),)
     law = flow
     effect = Effect(
         name="creep",

@@ -24,8 +24,9 @@ def flow(strain: Any, curved: Any, dt: Any, p: Any, o: int):
 class SheetYielding(SheetFlowTerm):
     """q' = r (1 - e_Y / |e - q|) (e - q) beyond e_Y, of strain, and of curvature where it strains the surface so.
 
-    |e| is von Mises' stress over Young's modulus; J2 plasticity of sheets without hardening (Simo and Hughes 1998, section 3.4). The
-    overstress fades at the rate r (Perzyna), as in ``yielding``. Of a bend all of the section yields at once: Ilyushin's approximation.
+    |e| is von Mises' stress over Young's modulus at Poisson's ratio 1/2; J2 plasticity of sheets without hardening (Simo and Hughes 1998,
+    section 3.4). The overstress fades at the rate r (Perzyna), as in ``yielding``. Of a bend all of the section yields at once, whatever
+    stretches it (Ilyushin's surface joins both).
     """
 
     name = "sheet_yielding"

@@ -24,6 +24,7 @@ __all__ = [
     "ARGUMENTS",
     "CELLS",
     "EASED",
+    "HINGES",
     "POINTS",
     "SHEETS",
     "STAGED",
@@ -37,6 +38,8 @@ __all__ = [
     "FlowTerm",
     "GripTerm",
     "GrowthTerm",
+    "HingeBranchTerm",
+    "HingeFlowTerm",
     "HingeTerm",
     "LayerTerm",
     "LinksTerm",
@@ -72,7 +75,7 @@ class KernelTerm(Term):
 
 
 class RememberingTerm(KernelTerm):
-    """A term that remembers q between substeps, 0 in frame 0. Law and evolve both see the substep's start.
+    """A term that remembers q between substeps, 0 in frame 0. Law and evolve both see the substep's start, unless the stage says else.
 
     ``evolve`` (as the law, and dt before p) is its memory after the substep, which must not overshoot what it tends to however long dt is.
     """
@@ -122,6 +125,27 @@ class HingeTerm(KernelTerm):
 
     stage = "hinge"
     given = ("kappa", "rate", "natural", "span")
+
+
+class HingeFlowTerm(KernelTerm):
+    """How the natural curvature of a rope flows in a substep: what of its elastic curvature becomes natural (``physics.fabrics``).
+
+    ``strain`` holds the curvature [1/m] about both material axes beyond the natural one, and 0; ``curved`` is 2. Only hinges of a chain
+    remember; twist, which is at rest in every substep, is not remembered.
+    """
+
+    stage = "hinge_flow"
+    given = ("strain", "curved", "dt")
+
+
+class HingeBranchTerm(RememberingTerm):
+    """Springs beside a rope's bending that remember q, as ``strain``: the curvature at which its elasticity would resist as they do.
+
+    ``strain`` and ``curved`` as ``HingeFlowTerm`` has them; the law sees q after the substep.
+    """
+
+    stage = "hinge_branch"
+    given = ("strain", "curved", "q")
 
 
 class FacetTerm(KernelTerm):
@@ -341,7 +365,7 @@ class SetupTerm(Term):
         """``inputs`` (``physics.inputs``) of a ``batch`` with what the term's ``values``, name -> (systems,), make of them."""
 
 
-_SPRINGS = (AxialTerm, StrandTerm, HingeTerm, FacetTerm)
+_SPRINGS = (AxialTerm, StrandTerm, HingeTerm, HingeFlowTerm, HingeBranchTerm, FacetTerm)
 _CELLS = (GrowthTerm, FlowTerm, SolidTerm, MaterialTerm, BranchTerm, ViscousTerm)
 _SHEETS = (MembraneTerm, PlateTerm, SheetFlowTerm, SheetBranchTerm, ViscousMembraneTerm, ViscousPlateTerm)
 _EASED = (ViscousTerm, ViscousMembraneTerm, ViscousPlateTerm)
@@ -354,6 +378,7 @@ STAGES = tuple(STAGE_CLASSES)
 STAGED = tuple(c.stage for c in _STAGED)  # whose laws are in the kernels
 CELLS = tuple(c.stage for c in _CELLS)  # of solids: what they do they do in a grid's cells
 SHEETS = tuple(c.stage for c in _SHEETS)
+HINGES = tuple(c.stage for c in _SPRINGS[2:5])  # of what bends as ropes do
 EASED = tuple(c.stage for c in _EASED)  # in rounds
 POINTS = tuple(c.stage for c in _POINTS[1:])  # at material points alone
 ARGUMENTS = {c.stage: c.given for c in _STAGED}

@@ -35,6 +35,12 @@ def sheets(*kinds):
     return [draped(*kinds, seed=seed) for seed in (0, 1)]
 
 
+def remembering(*kinds):
+    """Sheets with ``kinds`` at their typical sizes."""
+    own = [kind(kind.stands_for().typical) for kind in kinds]
+    return [replace(s, terms=(*s.terms, *own)) for s in sheets(terms.PlateBending)]
+
+
 GROUPS = {
     "foam": lambda: solids(terms.KelvinVoigt),
     "held and sliding": lambda: solids(terms.CoulombGround, terms.SoftGrip, terms.SurfaceDrag),
@@ -44,6 +50,7 @@ GROUPS = {
     ),
     "memories": lambda: solids(terms.Maxwell, terms.DahlFriction, terms.Damage, terms.NortonCreep, terms.Yielding),
     "sheets": lambda: sheets(terms.MembraneDamping, terms.PlateDamping, terms.PlateStiffening),
+    "sheets that remember": lambda: remembering(terms.SheetCreep, terms.SheetYielding, terms.SheetRelaxing, terms.SheetFriction),
     "rubber": lambda: [replace(s, terms=tuple(t for t in s.terms if t.name != "membrane")) for s in sheets(terms.NeoHookeanMembrane)],
 }
 

@@ -170,14 +170,14 @@ def test_columns_are_ordered_by_stage_and_padded():
     contact = ["collision_dist", "collide_object_elas", "collide_object_fric", "collide_neighbours"]
     gravity = ["gravity_x", "gravity_y", "gravity_z"]
     cells = ["_growth", "_flow", "_solid", "_material", "_branch", "_viscous"]
-    cells += ["_membrane", "_plate", "_viscous_membrane", "_viscous_plate", "_layer"]
-    first = ["_axial", "_strand", "_hinge", "_facet", *cells, "_body", "_surface", "_touch", "_grip", "_slip", "_observer", "_velocity"]
+    cells += ["_membrane", "_plate", "_sheet_flow", "_sheet_branch", "_viscous_membrane", "_viscous_plate", "_layer"]
+    cells = ["_hinge_flow", "_hinge_branch", "_facet", *cells]
+    first = ["_axial", "_strand", "_hinge", *cells, "_body", "_surface", "_touch", "_grip", "_slip", "_observer", "_velocity"]
     assert Laws(()).columns == [*first, "_contact", "_move", "_links", "_setup"]
     air = [
         "dashpot_damping",
         "_strand",
         "_hinge",
-        "_facet",
         *cells,
         *gravity,
         "_surface",
