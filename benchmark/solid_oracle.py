@@ -32,7 +32,7 @@ from .studies import cases_of, study
 __all__ = ["main", "simulated", "told"]
 
 CLEAR = 20.0  # mm, RMS, by which an effect moves what is to be judged
-MATERIAL = ("viscoelastic", "anisotropy", "compression_softening", "creep")  # whose terms are those of a solid's cells
+MATERIAL = ("viscoelastic", "anisotropy", "compression_softening", "creep")  # whose terms are of a solid's cells or of a sheet
 
 
 def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unknown], dict]:
@@ -43,6 +43,8 @@ def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unkno
     """
     effect, known = label["effect"], label["parameters"]
     place: Any = next((p for p in [*label["place"][recording:], *label["place"]] if p), None)
+    if scene.body.kind == "sheet" and effect in MATERIAL:
+        return *_told_of_sheet(effect), {}
     if scene.body.kind != "solid" and effect in MATERIAL:
         raise KeyError(f"{effect} of a {scene.body.kind}")
     if effect == "viscoelastic":
@@ -84,6 +86,20 @@ def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unkno
     raise KeyError(effect)
 
 
+def _told_of_sheet(effect):
+    """(terms, unknown amounts) of an effect of its material. Raises KeyError for one whose direction would have to be told in its axes."""
+    if effect == "viscoelastic":
+        return (terms.SheetRelaxing(),), [
+            _amount("sheet_branch_share", 1.0, 0.05, 20.0, "-"),
+            _amount("sheet_branch_time", 0.15, 0.01, 2.0, "s"),
+        ]
+    if effect == "creep":
+        return (terms.SheetCreep(),), [_amount("sheet_creep_rate", 1.0, 0.05, 20.0, "1/s")]
+    if effect == "compression_softening":
+        return (terms.MembraneSlack(),), [_bounded(terms.MembraneSlack, "slack_stiffness", 10.0)]
+    raise KeyError(f"{effect} of a sheet")
+
+
 def _at(prefix, place):
     """Parameters that say a ``place`` (3,)."""
     return {f"{prefix}_{axis}": float(c) for axis, c in zip("xyz", place, strict=True)}
@@ -106,13 +122,14 @@ def simulated(label: dict) -> dict:
     Of what is no solid, the effect's amounts alone.
     """
     body, known = label["body"], label["parameters"]
-    skin = body["area_m2"] / body["mass_kg"]
+    skin, thin = body["area_m2"] / body["mass_kg"], body["kind"] == "cloth"
+    branch = ("sheet_branch_share", "sheet_branch_time") if thin else ("maxwell_share", "maxwell_time")
     amounts = {
-        "viscoelastic": lambda: {"maxwell_share": known["ratio"], "maxwell_time": known["time_s"]},
+        "viscoelastic": lambda: dict(zip(branch, (known["ratio"], known["time_s"]), strict=True)),
         "added_mass": lambda: {"added_mass": 1e-3 * known["added_g"] / (body["mass_kg"] - 1e-3 * known["added_g"])},  # labels weigh all
         "wind": lambda: _blowing(np.array(known["velocity_m_s"]), known["coefficient_kg_m3"] * skin),
         "quadratic_drag": lambda: {"quadratic_drag": known["coefficient_kg_m3"] * skin},
-        "creep": lambda: {"norton_rate": 1 / known["time_s"]},
+        "creep": lambda: {"sheet_creep_rate" if thin else "norton_rate": 1 / known["time_s"]},
         "gravity_tilt": lambda: dict(zip(("tilt_x", "tilt_y", "tilt_z"), known["gravity_m_s2"], strict=True)),
         "controller_delay": lambda: {"controller_delay": -known["frames"] / FPS},  # hands are reported late, so the body is early
     }.get(label["effect"])
