@@ -19,12 +19,14 @@ from ..diagnosis.hypotheses import catalogue
 from ..diagnosis.ladder import STARTS, Candidate, best, climb, led
 from ..diagnosis.model import Knob, Model, Simulator
 from ..diagnosis.replica import Replica, build_replica
+from ..physics.catalogue import terms
 from ..physics.hinges import natural_curvature
 from ..physics.terms import AddedMass, Dashpot, Gravity, LinearDrag, Springs
 from ..physics.terms.bending import Bending
 from ..physics.terms.braces import Braces
 from ..physics.terms.natural_curvature import ENDS, MODES, NaturalCurvature
 from ..physics.terms.observer import Observer
+from ..physics.terms.stages import HingeBranchTerm, HingeFlowTerm
 from ..physics.terms.stiffness_level import StiffnessLevel
 from ..physics.topology import rope_hinges
 from .cable_results import FIELDS, Found, repeated, write
@@ -146,8 +148,20 @@ def candidates(rng: np.random.Generator, length: float, shapes: Sequence[np.ndar
             also = LIMP if term is Bending else THIN if term.name in LOSSY else ()
             needs = "bending" if term.name == "torsion" else ""
             found.append(Candidate.of(term, also=also, needs=needs))
+    found += [_remembering(t) for t in terms().values() if t.effect and t.stage in (HingeFlowTerm.stage, HingeBranchTerm.stage)]
     found += [_more_mass(length), _natural_shape(rng, shapes)]
     return found
+
+
+def _remembering(term):
+    """What a cable remembers of its bends. Its name is the term's, since springs along it may remember their stretch by the same effect;
+    how far its surface is from the middle is not told apart from the strain at which it gives way."""
+    one = Candidate.of(term, also=THIN, needs="bending")
+    kept = [k for k, knob in enumerate(one.knobs) if not knob.name.endswith("surface")]
+    values = {knob.name: knob.start for knob in one.knobs if knob.name.endswith("surface")}
+    return replace(
+        one, name=term.name, knobs=tuple(one.knobs[k] for k in kept), starts=np.unique(one.starts[:, kept], axis=0), values=values
+    )
 
 
 def _more_mass(length):

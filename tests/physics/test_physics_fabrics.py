@@ -378,3 +378,10 @@ def test_gradients_of_ropes_against_differences():
             step = 1e-6
             ahead, behind = (float(loss(replace(start, **{name: own + s * step * way}))) for s in (1, -1))
             assert float((getattr(given, name).grad * way).sum()) == pytest.approx((ahead - behind) / (2 * step), rel=1e-4), name
+
+
+def test_what_remembers_needs_an_elasticity():
+    with pytest.raises(ValueError, match="sheet_creep remembers what an elasticity bears and needs a term that has one, such as membrane"):
+        replace(fabric(), terms=[SheetCreep()])
+    with pytest.raises(ValueError, match="rope_friction remembers what an elasticity bears and needs a term that has one, such as bending"):
+        replace(cantilever(), terms=[RopeFriction()])

@@ -14,7 +14,7 @@ from twinbench.methods.rigid import RigidTwin
 from twinbench.physics.grids import embed
 from twinbench.physics.sheets import Sheet
 from twinbench.physics.system import System
-from twinbench.physics.terms import Membrane, NeoHookean, NortonCreep, Springs
+from twinbench.physics.terms import Membrane, NeoHookean, NortonCreep, SheetCreep, Springs
 
 STRETCH = 1.3
 STILL = np.zeros((1, 0, 3))
@@ -59,6 +59,19 @@ def test_what_has_flowed_bears_nothing():
     moved = one.positions * [STRETCH, 1, 1]
     assert node_stress(one, moved, memory=memory)[0].max() < 1e-6
     assert node_stress(one, moved)[0].min() > 1e3
+
+
+def test_a_sheet_bears_nothing_of_what_has_flowed():
+    # the split of Green's strain is additive: with q = E nothing is left to the elasticity
+    points = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]])
+    sheet = Sheet.of(points, np.array([[0, 1, 2], [1, 3, 2]]), laid=points[:, :2])
+    known = dict(springs=np.zeros((0, 2), int), stiffness=[], controllers=STILL, sheet=sheet)
+    one = System(positions=points, terms=(Membrane({"membrane_stiffness": 40.0}), SheetCreep({"sheet_creep_rate": 1.0})), **known)
+    memory = np.zeros((2, 1, 3))
+    memory[..., 0] = (STRETCH**2 - 1) / 2
+    moved = points * [STRETCH, 1, 1]
+    assert node_stress(one, moved, memory=memory)[0].max() < 1e-9
+    assert node_stress(one, moved)[0].min() > 10.0
 
 
 def test_a_sheet_that_is_stretched():
