@@ -28,6 +28,7 @@ REGIONS = 12  # in which tracks move together, and so count once
 UNLOADINGS = 2  # times that a rest shape is solved before a refinement: from the search's stiffness, then from a better one
 RATES = 3.0  # times the rate that was meant, at most, that frames came at where it was not recorded, or as many times fewer
 TRIED_RATES = (1.0, 0.6, 1.6)  # times that rate, from which searches start
+LEADING = 0.3  # of what a fit tells of its progress, while its starts are led
 MOVED = 0.01  # m: hands that go less far do not tell how a motion goes on
 SHORTEST = 10  # frames, of a motion by which starts are led
 LED = 3  # iterations in each: after two a folded cloth had not left a wrong valley (4.4 mm for 2.9)
@@ -125,11 +126,12 @@ def estimate(
         return tell
 
     options: dict[str, Any] = dict(independent=task.independent, seed=seed)
+    led = LEADING if kind.horizons and not begin else 0.0
     if begin:
         starts = np.array([[begin.get(u.name, u.value) for u in task.unknowns]])
     else:
         starts = _timed(kind.starts(bodies, recordings, task.unknowns, config), task.unknowns)
-        starts = _approached(coarse, recordings, starts, config, kind.horizons)
+        starts = _approached(coarse, recordings, starts, config, kind.horizons, progress)
     coarse = coarse.within(starts, config.dearest)
     most = kind.iterations if config.iterations is None else config.iterations
     search = Steps(iterations=most, tolerance=ARRIVED) if kind.horizons else Steps(iterations=most)
@@ -137,7 +139,7 @@ def estimate(
         *coarse.asked,
         starts=starts,
         steps=search,
-        progress=told("search", 0.0, 0.5, search.iterations),
+        progress=told("search", led, 0.5 - led, search.iterations),
         **options,
     )
     members = config.members and all(isinstance(s, Sight) for s in task.sights)
@@ -303,7 +305,7 @@ def horizon(recording: Observed, share: float) -> int:
     return max(SHORTEST, int(np.searchsorted(way, share * way[-1])) + 2)
 
 
-def _approached(task: Task, recordings, starts, config: Config, horizons: Sequence[float]) -> np.ndarray:
+def _approached(task: Task, recordings, starts, config: Config, horizons: Sequence[float], progress=None) -> np.ndarray:
     """(k, n) from where all of the motion is searched: the likeliest of ``starts`` (K, n), ``config.starts`` of them, or half as many
     that were led over the ``horizons``, growing shares of it.
 
@@ -311,6 +313,8 @@ def _approached(task: Task, recordings, starts, config: Config, horizons: Sequen
     """
     for k, share in enumerate(horizons):
         shorter, kept = task.until(recordings, share), config.starts * 2 ** (len(horizons) - 1 - k)
+        if progress:
+            progress(f"starts over {share:.0%} of the motion", LEADING * k / len(horizons))
         starts = _scouted(shorter, starts, kept)
         shorter = shorter.within(starts, config.dearest)
         starts = narrowed(*shorter.asked, starts=starts, steps=Steps(iterations=LED, kept=kept), independent=shorter.independent)

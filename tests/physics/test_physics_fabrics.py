@@ -337,6 +337,16 @@ def test_a_rope_that_rubs_hangs_where_friction_holds_it():
     assert sunk[-1] == pytest.approx(1.0, rel=0.01)
 
 
+def test_springs_beside_a_rope_shorten_its_steps():
+    # of bending alone: a branch of 3 makes it four times as stiff at once, so that steps are half as long; friction of a / e_h alike
+    one = cantilever()
+    one = replace(one, stiffness=np.full(len(one.springs), 1e-9), terms=[Bending({"bending_stiffness": RIGID})])
+    plain = stable_step(one)
+    for beside in (RopeRelaxing({"rope_branch_share": 3.0}), RopeFriction({"rope_rub": 0.03, "rope_rub_strain": 0.01})):
+        assert stable_step(replace(one, terms=[*one.terms, beside])) == pytest.approx(plain / 2, rel=1e-6)
+    assert stable_step(replace(one, terms=[*one.terms, RopeCreep({"rope_creep_rate": 2.0})])) == pytest.approx(plain, rel=1e-9)
+
+
 def test_a_ropes_size_is_that_of_its_bend():
     assert size_twin([3.0, 4.0, 0.0], ROPE, 0.01) == pytest.approx(0.05, rel=1e-12)
 
