@@ -44,7 +44,7 @@ def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unkno
     effect, known = label["effect"], label["parameters"]
     place: Any = next((p for p in [*label["place"][recording:], *label["place"]] if p), None)
     if scene.body.kind == "sheet" and effect in MATERIAL:
-        return *_told_of_sheet(effect), {}
+        return _told_of_sheet(effect)
     if scene.body.kind != "solid" and effect in MATERIAL:
         raise KeyError(f"{effect} of a {scene.body.kind}")
     if effect == "viscoelastic":
@@ -86,17 +86,15 @@ def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unkno
     raise KeyError(effect)
 
 
-def _told_of_sheet(effect):
-    """(terms, unknown amounts) of an effect of its material. Raises KeyError for one whose direction would have to be told in its axes."""
+def _told_of_sheet(effect) -> tuple[tuple, list[Unknown], dict]:
+    """``told`` of an effect of its material. Raises KeyError for one whose direction would have to be told in its axes."""
     if effect == "viscoelastic":
-        return (terms.SheetRelaxing(),), [
-            _amount("sheet_branch_share", 1.0, 0.05, 20.0, "-"),
-            _amount("sheet_branch_time", 0.15, 0.01, 2.0, "s"),
-        ]
+        branch = [_amount("sheet_branch_share", 1.0, 0.05, 20.0, "-"), _amount("sheet_branch_time", 0.15, 0.01, 2.0, "s")]
+        return (terms.SheetRelaxing(),), branch, {}
     if effect == "creep":
-        return (terms.SheetCreep(),), [_amount("sheet_creep_rate", 1.0, 0.05, 20.0, "1/s")]
+        return (terms.SheetCreep(),), [_amount("sheet_creep_rate", 1.0, 0.05, 20.0, "1/s")], {}
     if effect == "compression_softening":
-        return (terms.MembraneSlack(),), [_bounded(terms.MembraneSlack, "slack_stiffness", 10.0)]
+        return (terms.MembraneSlack(),), [_bounded(terms.MembraneSlack, "slack_stiffness", 10.0)], {}
     raise KeyError(f"{effect} of a sheet")
 
 

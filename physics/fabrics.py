@@ -181,7 +181,7 @@ def _resisting(kit, curved, stage, name):
     return resisted
 
 
-def fabric_twin(terms, whole, q, dt: float, *, stage: str):
+def fabric_twin(terms, whole, q, dt: float, *, stage: str) -> tuple[np.ndarray, np.ndarray]:
     """The same in numpy: (stress (..., 3), memory (..., flow and branch terms, 3)) of the ``terms`` of a sheet.
 
     whole  (..., 3) strains, or curvatures where ``stage`` is not "membrane" but "plate"; q as the memory that is returned
@@ -190,7 +190,7 @@ def fabric_twin(terms, whole, q, dt: float, *, stage: str):
     after, curved, count = np.array(q, float), SHEET if stage == "plate" else STRAIN, len(flows)
 
     def elastic(e):
-        return sum((t.twin(e, **t.values) for t in own), np.zeros_like(e))
+        return np.asarray(sum((t.twin(e, **t.values) for t in own), np.zeros_like(e)))
 
     e = whole - after[..., :count, :].sum(-2)
     for k, t in enumerate(flows):
