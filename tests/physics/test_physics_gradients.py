@@ -45,7 +45,7 @@ KINDS = {"ground": AIR, "ground and contacts": (*AIR, SelfCollision), "memories 
 KINDS |= {"ground and hinges": ROD, "all": (*MEMORIES, Bending, BendingDamping, Torsion, PlateDrag, Pressure)}
 every_kind = pytest.mark.parametrize("kinds", KINDS.values(), ids=KINDS)
 # see test_physics_materials.py, test_physics_points.py and test_physics_fabrics.py
-OF_SOLIDS = ("cell_memory", "load", "held", "anchor", "slid", "sheet_memory")
+OF_SOLIDS = ("cell_memory", "load", "held", "anchor", "slid", "sheet_memory", "hinge_memory")
 HINGED = ("natural", "flexure", "directors")  # inputs that only hinge terms read
 
 
