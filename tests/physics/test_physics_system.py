@@ -244,7 +244,7 @@ class Touch(ContactTerm):
         ("terms must each be listed once, got springs 2 times", [Springs(), Gravity(), Springs()]),
         ("parameter names must be unique in a system, got gravity_x in both gravity and wind", [Gravity(), Wind()]),
         (
-            "term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, hinge, hinge_flow, hinge_branch, facet, growth",
+            "term misplaced has the unknown stage 'bodi'; did you mean 'body'? known: axial, strand, hinge,",
             [Misplaced()],
         ),
     ],
