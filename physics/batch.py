@@ -107,9 +107,9 @@ class Batch:
         self.touching, self.slipping = bool(self.laws.stage("touch")), bool(self.laws.stage("slip"))
         self.pointed = _have_points(systems, self.laws)
         self.layered, self.draped = bool(self.laws.stage("layer")), any(self.laws.stage(s) for s in SHEETS)
-        self.cells_remembering = bool(self.laws.stage("flow") or self.laws.stage("branch"))
-        self.hinges_remembering = bool(self.laws.stage("hinge_flow") or self.laws.stage("hinge_branch"))
-        self.sheets_remembering = bool(self.laws.stage("sheet_flow") or self.laws.stage("sheet_branch"))
+        self.cells_remembering, self.sheets_remembering, self.hinges_remembering = (
+            bool(self.laws.remembering(of)) for of in ("cell", "sheet", "hinge")
+        )
         if self.easing and self.colliding:
             raise ValueError("a system can have terms that are viscous in a solid or a sheet, or one of the stage 'contact', got both")
         if isinstance(rounds, str) and rounds == "auto":
@@ -137,6 +137,11 @@ class Batch:
 
     def _assemble(self):
         systems = self.systems
+
+        def owners(counts):
+            """Which system each of so many things (B,) is of."""
+            return self._ints(np.repeat(np.arange(len(systems)), counts)).long()
+
         sizes = np.array([s.particle_count for s in systems])
         hands = [np.flatnonzero(s.grips < 0) for s in systems]  # controllers that are nodes of their own
         nodes = sizes + np.array([len(h) for h in hands])
@@ -191,23 +196,23 @@ class Batch:
         solid = {name: cells.pop(name) for name in ("points", "cell_volume", "cell_home", "cell_at", "per", "ease")}
         points, outside = assemble_points(systems, start, [i[s.particle_count :] for i, s in zip(indices, systems, strict=True)], count)
         self.point_starts = points["point_start"]
-        self.hand_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(points["hand_start"]))).long()
+        self.hand_system = owners(np.diff(points["hand_start"]))
         solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
         sheets, drape = assemble_sheets(systems, start, count)
         self.panel_starts, self.fold_count = sheets["panel_start"], len(sheets["fold"])
-        self.panel_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.panel_starts))).long()
+        self.panel_system = owners(np.diff(self.panel_starts))
         self._assemble_layers(mass, systems, start)
         real = {"dt": self.dt, "volume": volume, "home": home, "loose": bent.pop("loose"), "span": bent.pop("span")}
         self.constants |= {k: self._real(v) for k, v in {**real, **solid, **drape}.items()}
         self.constants |= {k: self._ints(v) for k, v in {**bent, **facets, **cells, **sheets, **points}.items()}
         self.hinge_starts, self.segment_starts = bent["hinge_start"], bent["segment_start"]
-        self.system_of = self._ints(np.repeat(np.arange(len(systems)), nodes)).long()
-        self.point_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.point_starts))).long()
-        self.hinge_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.hinge_starts))).long()
-        self.rope_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.segment_starts))).long()
-        self.cell_system = self._ints(np.repeat(np.arange(len(systems)), np.diff(self.cell_starts))).long()
-        self.spring_system = self._ints(np.repeat(np.arange(len(systems)), [len(s.springs) for s in systems])).long()
-        self.path_system = self._ints(np.repeat(np.arange(len(systems)), [s.controllers.shape[1] for s in systems])).long()
+        self.system_of = owners(nodes)
+        self.point_system = owners(np.diff(self.point_starts))
+        self.hinge_system = owners(np.diff(self.hinge_starts))
+        self.rope_system = owners(np.diff(self.segment_starts))
+        self.cell_system = owners(np.diff(self.cell_starts))
+        self.spring_system = owners([len(s.springs) for s in systems])
+        self.path_system = owners([s.controllers.shape[1] for s in systems])
         self.ends = self._ints(ends).long()
         lower = np.flatnonzero((other > here)[order])  # ends at which a spring counts
         self.lower_end, self.lower_spring = self._ints(lower).long(), self._ints(spring[order][lower]).long()
@@ -225,9 +230,9 @@ class Batch:
             path=self._real(np.concatenate(paths, 1) if path_start[-1] else np.zeros((frames, 0, 3))),
             table=self._real(table),
             memory=self._real(np.zeros((sum(len(s.springs) for s in systems), self.laws.memories))),
-            cell_memory=self._real(np.zeros((self.cell_starts[-1], 8, self.laws.cell_memories))),
-            hinge_memory=self._real(np.zeros((self.hinge_starts[-1], self.laws.hinge_memories))),
-            sheet_memory=self._real(np.zeros((self.panel_starts[-1], self.laws.sheet_memories))),
+            cell_memory=self._real(np.zeros((self.cell_starts[-1], 8, self.laws.numbers("cell")))),
+            hinge_memory=self._real(np.zeros((self.hinge_starts[-1], self.laws.numbers("hinge")))),
+            sheet_memory=self._real(np.zeros((self.panel_starts[-1], self.laws.numbers("sheet")))),
             **{k: self._real(v) for k, v in {**hinged, **outside}.items()},
         )
 

@@ -22,7 +22,7 @@ from typing import Any
 import warp as wp
 
 from .finding import finder, noting
-from .laws import Laws
+from .laws import NUMBERS, Laws
 from .native import WARP, adder, lane_sum, state_access
 from .quads import quads
 from .terms.stages import EASED, SHEETS, STAGED
@@ -88,7 +88,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
     """Types, structs and small functions that both kernels are made of."""
     vec, four = wp.types.vector(3, R), wp.types.vector(4, R)
     vectors = {s: wp.types.vector(laws.width(s), R) for s in STAGED} | {"memory": wp.types.vector(laws.memories, R)}
-    vectors |= {f"{k}_memory": wp.types.vector(getattr(laws, f"{k}_memories"), R) for k in ("cell", "sheet", "hinge")}
+    vectors |= {f"{of}_memory": wp.types.vector(laws.numbers(of), R) for of in NUMBERS}
     mat = wp.types.matrix((3, 3), R)
     pair = wp.types.vector(2, R)
     vectors |= dict(natural=pair, pivot=pair, torque=four, factor=four, pair_weight=four, pair_law=vectors["layer"])
@@ -114,9 +114,9 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         cells_easing=bool(laws.stage("viscous")),
         draping=any(laws.stage(s) for s in SHEETS),
         creasing=bool(laws.stage("plate") or laws.stage("viscous_plate")),
-        hinges_remembering=bool(laws.stage("hinge_flow") or laws.stage("hinge_branch")),
+        hinges_remembering=bool(laws.remembering("hinge")),
         sheets_branching=bool(laws.stage("sheet_branch")),
-        sheets_remembering=bool(laws.stage("sheet_flow") or laws.stage("sheet_branch")),
+        sheets_remembering=bool(laws.remembering("sheet")),
         sheets_easing=bool(laws.stage("viscous_membrane") or laws.stage("viscous_plate")),
         layered=bool(laws.stage("layer")),
         touching=bool(laws.stage("touch")),
@@ -125,7 +125,7 @@ def _kit(laws: Laws, R) -> SimpleNamespace:
         flowing=bool(laws.stage("flow")),
         adding=bool(laws.stage("material")),
         branching=bool(laws.stage("branch")),
-        cells_remembering=bool(laws.stage("flow") or laws.stage("branch")),
+        cells_remembering=bool(laws.remembering("cell")),
         watching=bool(laws.stage("observer")),
         remembering=bool(laws.stage("strand")),
         load={s: _loader(R, vectors[s], laws.width(s), laws.start(s)) for s in STAGED},

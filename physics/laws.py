@@ -12,7 +12,9 @@ from .sums import summed
 from .terms.base import Term
 from .terms.stages import STAGES
 
-__all__ = ["Laws"]
+__all__ = ["NUMBERS", "Laws"]
+
+NUMBERS = {"cell": 9, "sheet": 6, "hinge": 3}  # that a term remembers of a material point, a triangle, a hinge
 
 
 @dataclass(frozen=True)
@@ -52,20 +54,14 @@ class Laws:
         """Length of a spring's memory vector, at least 1 because a Warp vector cannot be empty."""
         return max(1, len(self.stage("strand")))
 
-    @property
-    def cell_memories(self) -> int:
-        """Length of a material point's memory vector: nine numbers for each flow and branch term, at least 1."""
-        return max(1, 9 * (len(self.stage("flow")) + len(self.stage("branch"))))
+    def remembering(self, of: str) -> int:
+        """How many terms remember what the material of a kind does: of "cell", of "sheet" or of "hinge", flows and branches."""
+        before = "" if of == "cell" else f"{of}_"
+        return len(self.stage(f"{before}flow")) + len(self.stage(f"{before}branch"))
 
-    @property
-    def sheet_memories(self) -> int:
-        """Length of a triangle's memory vector: six numbers for each of its flow and branch terms, at least 1."""
-        return max(1, 6 * (len(self.stage("sheet_flow")) + len(self.stage("sheet_branch"))))
-
-    @property
-    def hinge_memories(self) -> int:
-        """Length of a hinge's memory vector: three numbers for each of its flow and branch terms, at least 1."""
-        return max(1, 3 * (len(self.stage("hinge_flow")) + len(self.stage("hinge_branch"))))
+    def numbers(self, of: str) -> int:
+        """Length of the memory vector of a material point, a triangle or a hinge: so many for each term, at least 1."""
+        return max(1, NUMBERS[of] * self.remembering(of))
 
     def fuse(self) -> SimpleNamespace:
         """One Warp function, generic in its precision, for each stage in the kernels and for "evolve"; contact is None without its term."""

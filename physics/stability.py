@@ -171,16 +171,13 @@ def _sheet_fastest(system, free, *, damping):
     if system.sheet is None or not any(t.stage in (DAMPING if damping else RESISTING) for t in system.terms):
         return 0.0
     x, step = system.positions, 1e-6 * np.sqrt(system.sheet.areas.min())
-    if damping:
-        rates = [_summed(system.terms, stage) for stage in DAMPING]
-    else:
-        strains = _resisting(system.sheet, x, system.terms)
+    laws = [_summed(system.terms, stage) for stage in DAMPING] if damping else _resisting(system.sheet, x, system.terms)
 
     def pull(way):
         if damping:
-            return sheet_damping(system.sheet, x, way, *rates)
+            return sheet_damping(system.sheet, x, way, *laws)
         small = step / max(np.abs(way).max(), 1e-300)
-        ahead, behind = (sheet_forces(system.sheet, x + move, *strains) for move in (small * way, -small * way))
+        ahead, behind = (sheet_forces(system.sheet, x + move, *laws) for move in (small * way, -small * way))
         return (ahead - behind) / (2 * small)
 
     return _largest(pull, system.masses, free[: system.particle_count])
