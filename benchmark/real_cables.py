@@ -156,7 +156,7 @@ def candidates(rng: np.random.Generator, length: float, shapes: Sequence[np.ndar
 def _remembering(term):
     """What a cable remembers of its bends. Its name is the term's, since springs along it may remember their stretch by the same effect;
     how far its surface is from the middle is not told apart from the strain at which it gives way."""
-    one = Candidate.of(term, also=THIN, needs="bending")
+    one = Candidate.of(term, also=THIN, after="bending")
     kept = [k for k, knob in enumerate(one.knobs) if not knob.name.endswith("surface")]
     values = {knob.name: knob.start for knob in one.knobs if knob.name.endswith("surface")}
     return replace(

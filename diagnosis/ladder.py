@@ -34,6 +34,8 @@ class Candidate:
     starts    (S, K) values of the knobs from which the best is taken
     also      sets of values of knobs that the model has already, tried beside where these are
     needs     name of a candidate without which it means nothing, or "": where the twin lacks that, both are tried as one
+    after     name of a candidate that the twin must have before this one is asked, or "": what a body remembers of its bends is told when
+              what resists them is
     off       values of what the twin has from the beginning and may turn out not to need, when it is taken out
     """
 
@@ -44,6 +46,7 @@ class Candidate:
     values: dict[str, float] = field(default_factory=dict)
     also: tuple[dict[str, float], ...] = ()
     needs: str = ""
+    after: str = ""
     off: dict[str, float] = field(default_factory=dict)
 
     @classmethod
@@ -218,7 +221,7 @@ def led(task: Task, bandwidth: float = LED) -> Task:
 
 def _scouts(task, found, candidates, have):
     """((candidate, ...), short fit) of every candidate that the twin lacks, with what it needs where it lacks that too."""
-    lacking = {c.name: c for c in candidates if c.name not in have}
+    lacking = {c.name: c for c in candidates if c.name not in have and c.after in ("", *have)}
     alone = {name: _scouted(task, found, c) for name, c in lacking.items() if c.needs in ("", *have)}
     scouts: list[tuple[tuple, Fit]] = [((lacking[name],), scout) for name, scout in alone.items()]
     for c in lacking.values():

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...datasets.spacing import spacing
 from ...methods.continuum.scene import Scene
+from ...physics.parameters import Parameter
 from ...physics.terms.base import Term
 
 __all__ = ["KINDS", "Amount", "Candidate", "Effect"]
@@ -45,8 +46,9 @@ class Effect:
 
     kind     of ``KINDS``
     says     one clause, after "the twin lacks that ..."; ``motion``: what to record in order to see it
-    term     what it adds to a twin's physics, or None: values of terms that sound twins have
+    term     what it adds to a twin's physics, or None: values of terms that sound twins have, as of the one that it ``alters``
     bodies   kinds of body that it is for
+    hides    prefix of unknowns that a sound twin's fit bends to make up for it ("grip"): where that ended, a little of it explains nothing
     amounts  what is estimated; ``law`` turns their values into a simulator's where they are not the same
     shapes   values to try of further parameters
     place    prefix of parameters ``<place>_x, _y, _z`` [m] that say where on the body it is, "" for all of it; ``within``: how far
@@ -69,6 +71,8 @@ class Effect:
     anchored: bool = False
     grounded: bool = False
     law: Callable[[Mapping[str, float]], dict[str, float]] | None = None
+    alters: type[Term] | None = None
+    hides: str = ""
     seen: Callable[[Scene, Mapping[str, float]], Scene] | None = None
     motion: str = ""
 
@@ -102,8 +106,14 @@ class Effect:
     def forms(self) -> tuple[str, ...]:
         """Names of the shapes that are fitted from where they are tried: those of any order of magnitude, as times and lengths are; not how
         far around its place it reaches, which is as far as the next place."""
-        known = self.term.parameters if self.term else ()
+        known = self.parameters.values()
         return tuple(p.name for p in known if p.name in self.shapes and p.scale == "log" and p.name != self.within)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Of its term, or of the one that it alters, by name."""
+        term = self.term or self.alters
+        return {p.name: p for p in term.parameters} if term else {}
 
     def values(self, amounts: Mapping[str, float]) -> dict[str, float]:
         """What a simulator is given for ``amounts``."""
@@ -156,7 +166,7 @@ class Candidate:
 
     def formed(self, factors) -> Candidate:
         """Of other shapes: ``factors`` (f,) times those that are fitted (``Effect.forms``), within what its term allows."""
-        names, known = self.effect.forms, {p.name: p for p in self.effect.term.parameters} if self.effect.term else {}
+        names, known = self.effect.forms, self.effect.parameters
         forms = {n: float(np.clip(self.fixed[n] * f, known[n].low, known[n].high)) for n, f in zip(names, factors, strict=True)}
         return replace(self, fixed={**self.fixed, **forms})
 

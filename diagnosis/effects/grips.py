@@ -21,9 +21,12 @@ EFFECTS = (
         ("solid", "rope", "sheet"),
         (Amount("grip_sag", 2e-4, 0.0, 0.02, "s^2"),),
         law=_yielding,
+        shapes={"grip_damping": (1.0,)},
+        alters=terms.SoftGrip,
+        hides="grip",
         motion="lifting, then shaking",
     ),
-    Effect.of_term("grip", terms.SlidingHand, ("solid", "rope", "sheet")),
+    Effect.of_term("grip", terms.SlidingHand, ("solid", "rope", "sheet"), hides="grip"),
 )
 
 HOLD = Effect(  # asked by itself (``holding``): it has no amount, and its path is what was seen

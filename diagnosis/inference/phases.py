@@ -18,7 +18,7 @@ from .controls import Controls
 from .covariance import Prior, Scatter, chosen
 from .forward import Forward
 from .members import Member, drawn, ran
-from .refit import Gain, Refit, gained, refitted
+from .refit import Gain, Refit, Start, begun, gained, refitted
 from .scan import Signature, signatures, usual_errors
 from .significance import Significance, fitted_rows, significance, unexplained
 from .wander import Wander, wander
@@ -191,11 +191,19 @@ def weighed(
     sound = refitted(e.forward, *common, None, config)
     alarm = found.alarms(config)
     likely, tried, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
-    asked = list(likely)[: config.refitted] if alarm and refits else []
+    refits = refits and alarm
+
+    def begin(k: int, forward: Forward) -> Start:
+        return begun(forward, *common, e.catalogue[k], config)
+
+    firsts = [own[0] for own in likely.values()] if refits else []
+    starts = dict(zip(firsts, e.forward.each(begin, firsts), strict=True))
+    led = {k: max(test.scores[k].log_evidence, one.log_evidence - sound.log_evidence) for k, one in starts.items()}
+    asked = [e.catalogue[k].name for k in sorted(led, key=lambda k: -led[k])[: config.refitted]]
     members = list(zip(scatter.only(rows).left_out(prior, parameters=False), e.noisy[:, rows], strict=True)) if asked else []
 
     def refit(k: int, forward: Forward) -> Refit:
-        return refitted(forward, *common, e.catalogue[k], config, members)
+        return refitted(forward, *common, e.catalogue[k], config, members, starts.get(k))
 
     while asked:
         which = [k for name in asked for k in likely[name]]

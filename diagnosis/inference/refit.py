@@ -1,29 +1,37 @@
 """A candidate fitted in full: its amounts, its place, its shape and all that a sound twin's fit may change, weighed by the error of sound
-twins."""
+twins.
+
+Where much of an effect leads is not told by what a little of it does beside a twin whose fit has made up for it as well as it can: a rope
+in a soft hand is fitted by one that holds less of it elsewhere, which a softer hand makes worse. So a refit begins at the best of some
+sizes (``begun``), and effects are refitted in the order of what is known of them there.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
-from ...methods.continuum.estimate import run_within
 from ..config import DiagnosisConfig
 from ..effects import Candidate
 from .amounts import Scale
 from .forward import Forward
 from .likelihood import Likelihood
 from .scan import Signature
+from .search import FARTHEST, Search, normal
 from .slopes import corrected
 
-__all__ = ["Gain", "Refit", "gained", "refitted"]
+__all__ = ["Gain", "Refit", "Start", "begun", "gained", "refitted"]
 
 TRIALS = (1.0, 0.4, 0.1, 0.03)  # of a Gauss-Newton step, one after the other until one is better: what swings falls elsewhere beyond
 TRUSTED = 0.2  # of what slopes promised: a step that gains less says that they are those of elsewhere
-FARTHEST = 3.0  # prior standard deviations that a place or a shape may be astray
-DIFFERENCE = 0.05  # prior standard deviations
 ARRIVED = 0.05  # nats: evidences that differ by less say nothing of names
+LED = 2  # starts that are run once more with what the fit would change of the twin there
+FORMS = (-2.0, 0.0, 2.0)  # prior standard deviations of a shape, at which an effect that hides is begun
+WAYS = (1.0, 2.0)  # prior standard deviations of each of several amounts, both ways, at which their effect is begun
 
 
 @dataclass(frozen=True)
@@ -53,13 +61,62 @@ class Refit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
-    """numbers (n + m + k + f,) in prior standard deviations, k of them coordinates of the effect's place and f its shapes; the prediction
-    (B,) there, and the negative log posterior."""
+class Start:
+    """Where a refit begins: ``numbers`` (n + m + k + f,) as a place has them, amounts on a ``scale``; ``log_evidence`` there."""
 
+    scale: Scale
     numbers: np.ndarray
-    prediction: np.ndarray
-    cost: float
+    log_evidence: float
+
+
+def begun(forward: Forward, data, reference, slopes, likelihood: Likelihood, rows, signature: Signature, config: DiagnosisConfig) -> Start:
+    """The best of some sizes of ``signature``'s candidate, each beside the twin where its fit ended, the most promising also beside one
+    that has changed as the reference's slopes ask for; arguments as ``refitted`` has them.
+
+    Of an effect that hides (``Effect.hides``) shapes are tried beside the one that is asked, and what it hides in is also as it was told.
+    """
+    search = Search.of(forward.fitted_alone(reference), data, reference, slopes, likelihood, rows, signature, config)
+    assert search.scale is not None  # as of all that has a signature
+    places, unknowns = search.places(_sizes(search, signature)), search.parts[0]
+    steps = {k: search.step(at, search.slopes, search.low, search.high, unknowns) for k, at in enumerate(places) if np.isfinite(at.cost)}
+    best = sorted(steps, key=lambda k: places[k].cost - steps[k][1])[:LED]
+    changed = [np.clip(places[k].numbers + steps[k][0], search.low, search.high) for k in best]
+    at = min(search.place(np.zeros(search.size), reference), *places, *search.places(changed), key=lambda one: one.cost)
+    return Start(search.scale, at.numbers, search.evidence(at, search.slopes)[0])
+
+
+def _sizes(search: Search, signature: Signature) -> np.ndarray:
+    """(K, N) numbers: sizes of each amount, on its sides; of what hides with all shapes, and what it hides in as it was told.
+
+    None of faults of what was measured, which are nearly linear.
+    """
+    effect, (unknowns, amounts, _, forms) = signature.candidate.effect, search.parts
+    knots = search.scale.knots if search.scale else None
+    if effect.seen:
+        return np.zeros((0, search.size))
+    if knots is None:
+        sizes = [side * way * one for one in np.eye(len(effect.amounts)) for way in WAYS for side in (1.0, -1.0)]
+    else:
+        sizes = [np.array([number]) for number in knots[0] if number]
+    told = _told(search.forward, effect.hides)
+    bends = [np.zeros_like(told), told] if told.any() else [told]
+    shapes = list(product(FORMS if effect.hides else (0.0,), repeat=len(effect.forms)))
+    found = np.zeros((len(bends), len(sizes), len(shapes), search.size))
+    for k, bend in enumerate(bends):
+        found[k, ..., unknowns] = bend
+    for k, size in enumerate(sizes):
+        found[:, k, :, amounts] = size
+    for k, shape in enumerate(shapes):
+        found[:, :, k, forms] = shape
+    return np.clip(found.reshape(-1, search.size), search.low, search.high)
+
+
+def _told(forward: Forward, prefix: str) -> np.ndarray:
+    """(n,) prior standard deviations from where the fit ended to what was told of the unknowns with a ``prefix``; 0 of others."""
+    if not prefix:
+        return np.zeros(len(forward.unknowns))
+    bent = [re.search(rf"(^|_){prefix}\d*_", u.name) is not None for u in forward.unknowns]
+    return np.where(bent, (np.array([u.encode(u.value) for u in forward.unknowns]) - forward.scaled) / forward.sds, 0.0)
 
 
 def refitted(
@@ -72,8 +129,10 @@ def refitted(
     signature: Signature | None,
     config: DiagnosisConfig,
     sound: Sequence[tuple[Likelihood, np.ndarray]] = (),
+    start: Start | None = None,
 ) -> Refit:
-    """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m.
+    """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m, from ``start`` or, without one,
+    from where the fit ended.
 
     likelihood  of these rows, without what parameters do, which are fitted
     sound       what sound twins leave of these rows, each with the likelihood by the others
@@ -86,66 +145,36 @@ def refitted(
     of ``config.reshaped``, amounts one by the motion that they make (``amounts``). What would take more than ``config.dearest`` times the
     steps is not run. Runs end with the fitted frames, but one where the refit arrived; where that diverges, all frames are run all along.
     """
-    given = (data, reference, slopes, likelihood, rows, signature, config, sound)
+    given = (data, reference, slopes, likelihood, rows, signature, config)
     alone = forward.fitted_alone(reference)
-    found = _searched(alone, *given)
+    found = _searched(alone, *given, sound, start)
     if alone is forward:
         return found
     twins, more = (
         (forward, {}) if found.candidate is None else (forward.with_effects([found.candidate]), found.candidate.values(found.amounts))
     )
     whole = twins.rows([{**forward.values(found.shift), **more}])[0]
-    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, *given)
+    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, *given, sound, start)
 
 
-def _searched(forward, data, reference, slopes, likelihood, rows, signature, config, sound) -> Refit:
+def _searched(forward, data, reference, slopes, likelihood, rows, signature, config, sound, start) -> Refit:
     """As ``refitted``, all runs by ``forward``."""
-    count, amounts = slopes.shape[1], len(signature.unit) if signature else 0
-    spots, forms = (len(signature.candidate.coordinates), len(signature.candidate.effect.forms)) if signature else (0, 0)
-    twins = forward.with_effects([signature.candidate]) if signature else forward
-    low, high = forward.bounds
-
-    most = config.dearest * forward.steps(forward.values(np.zeros(count)))
-
-    def there(numbers) -> Candidate:
-        assert signature is not None  # only what has a signature has a place
-        at, form = np.split(numbers[count + amounts :], [spots])
-        return signature.candidate.shifted(1e-3 * config.astray * at).formed(config.reshaped**form)
-
-    def simulated(shifts, more):
-        rows = [{**forward.values(s), **one} for s, one in zip(shifts, more, strict=True)]
-        return run_within(rows, twins.rows, twins.steps, most, len(data))
-
-    if signature is not None:
-        tried = signature.candidate
-        scale = Scale.of(
-            signature, lambda a: simulated(np.zeros((len(a), count)), map(tried.values, a))[:, rows], reference[rows], config.motion
-        )
-        astray = np.full(spots + forms, FARTHEST)
-        low, high = np.r_[low, scale.low, -astray], np.r_[high, scale.high, astray]
-        own = signature.columns / signature.unit * scale.slope(np.zeros(amounts))
-        slopes = np.c_[slopes, own, np.zeros((len(slopes), spots + forms))]
-
-    def run(numbers):
-        more = ({} if signature is None else there(row).values(scale.amounts(row[count : count + amounts])) for row in numbers)
-        return simulated(numbers[:, :count], more)
-
-    def place(numbers, prediction):
-        if not np.isfinite(prediction).all():
-            return _Place(numbers, prediction, np.inf)
-        return _Place(numbers, prediction, float(numbers @ numbers) / 2 - likelihood.log_density((data - prediction)[rows], guarded=True))
-
-    at, jacobian, fresh = place(np.zeros(len(low)), reference), slopes, False
-    held = np.arange(len(low)) >= len(low) - forms
-    low[held], high[held] = 0.0, 0.0
-    begun = forward.cost.runs
+    search = Search.of(forward, data, reference, slopes, likelihood, rows, signature, config, start.scale if start else None)
+    low, high, (unknowns, amounts, _, forms) = search.low.copy(), search.high.copy(), search.parts
+    at, jacobian, fresh = search.place(np.zeros(search.size), reference), search.slopes, False
+    held = np.zeros(search.size, bool)
+    held[forms] = True
+    first = forward.cost.runs
+    if start is not None and start.numbers.any():
+        at = min(at, *search.places([start.numbers]), key=lambda one: one.cost)
+        jacobian, fresh = search.measured(at, jacobian, low, high, ~held), True
+    low[held], high[held] = at.numbers[held], at.numbers[held]
     for _ in range(config.steps):
-        if forward.cost.runs - begun >= config.runs:
+        if forward.cost.runs - first >= config.runs:
             break
-        step, promised = _step(at, jacobian, data, likelihood, rows, low, high)
+        step, promised = search.step(at, jacobian, low, high)
         for part in TRIALS:
-            numbers = np.clip(at.numbers + part * step, low, high)
-            found = place(numbers, run(numbers[None])[0])
+            [found] = search.places([np.clip(at.numbers + part * step, low, high)])
             if np.isfinite(found.cost):
                 jacobian = corrected(jacobian, found.numbers - at.numbers, found.prediction - at.prediction)
             if found.cost < at.cost:
@@ -159,54 +188,15 @@ def _searched(forward, data, reference, slopes, likelihood, rows, signature, con
             measured, held = held, np.zeros_like(held)
         fresh = not gained > max(ARRIVED, TRUSTED * promised)
         if fresh:
-            jacobian = _slopes(run, at, jacobian, low, high, measured)
-    curvature, _ = _normal(likelihood, (data - at.prediction)[rows], jacobian[rows])
-    deviations = np.sqrt(np.diag(np.linalg.inv(curvature)))
-    evidence = -at.cost - np.linalg.slogdet(curvature)[1] / 2 + _one_sided(signature, at.numbers[count:], deviations[count:])
-    if signature is None:
-        return Refit(None, at.numbers, np.zeros(0), np.zeros(0), at.prediction, float(evidence))
-    mistaken = [_normal(one, left, jacobian[rows]) for one, left in sound]
+            jacobian = search.measured(at, jacobian, low, high, measured)
+    evidence, inverse = search.evidence(at, jacobian)
+    if search.scale is None:
+        return Refit(None, at.numbers, np.zeros(0), np.zeros(0), at.prediction, evidence)
+    mistaken = [normal(one, left, jacobian[rows]) for one, left in sound]
     spread = np.sqrt(np.mean([np.linalg.solve(*equations) ** 2 for equations in mistaken], axis=0)) if mistaken else 0.0
-    own, sd = (one[count : count + amounts] for one in (at.numbers, np.maximum(deviations, spread)))
-    return Refit(there(at.numbers), at.numbers[:count], scale.amounts(own), sd * scale.slope(own), at.prediction, float(evidence))
-
-
-def _slopes(run, at: _Place, jacobian, low, high, measured):
-    """(B, n) by differences around a place, of a deviation each over 20; what it was where a run diverged, or is not ``measured`` (n,)."""
-    steps = np.where(at.numbers + DIFFERENCE <= high, DIFFERENCE, -DIFFERENCE)
-    steps = np.clip(at.numbers + steps, low, high) - at.numbers
-    found = jacobian.copy()
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found[:, measured] = ((run(at.numbers + np.diag(steps)[measured]) - at.prediction) / steps[measured, None]).T
-    return np.where(np.isfinite(found).all(0), found, jacobian)
-
-
-def _one_sided(signature, amounts, deviations) -> float:
-    """Log of the share of the posterior that is on the side of a one-sided amount, over the half of the prior that is."""
-    from scipy.special import log_ndtr
-
-    if signature is None:
-        return 0.0
-    parts = zip(signature.candidate.effect.amounts, np.abs(amounts / deviations), strict=False)  # places come after them
-    return float(sum(np.log(2) + log_ndtr(far) for a, far in parts if a.one_sided))
-
-
-def _normal(likelihood, residual, ways):
-    """((n, n) curvature of the negative log posterior, in prior standard deviations: Gauss and Newton's, by a guarded Student t's weight;
-    (n,) its fall by what of ``residual`` (b,) m the slopes ``ways`` (b, n) explain)."""
-    white, ways = likelihood.whitened(residual), likelihood.whitened(ways)
-    weight = likelihood.weight(float(white @ white), len(white))
-    return weight * ways.T @ ways + np.eye(ways.shape[1]), weight * ways.T @ white
-
-
-def _step(at, jacobian, data, likelihood, rows, low, high):
-    """((n,) Gauss and Newton's, what presses against a bound staying there; what it promises to gain)."""
-    curvature, fall = _normal(likelihood, (data - at.prediction)[rows], jacobian[rows])
-    downhill = fall - at.numbers
-    free = ~((at.numbers <= low) & (downhill < 0) | (at.numbers >= high) & (downhill > 0))
-    step = np.zeros(len(free))
-    step[free] = np.linalg.solve(curvature[np.ix_(free, free)], downhill[free])
-    return step, float(downhill @ step) / 2
+    own, sd = (one[amounts] for one in (at.numbers, np.maximum(np.sqrt(np.diag(inverse)), spread)))
+    sizes, sd = search.scale.amounts(own), sd * search.scale.slope(own)
+    return Refit(search.candidate(at.numbers), at.numbers[unknowns], sizes, sd, at.prediction, evidence)
 
 
 def gained(data, sound, other, cells: Sequence | np.ndarray, variances: np.ndarray | float = 1.0) -> Gain:

@@ -120,6 +120,13 @@ class Simulator:
         Where frame 0 is an equilibrium, it is one under what further terms say pulls at the body: how far that moves it, once with the
         pull and once without, is how far its rest shape is from frame 0 beside what gravity makes of it.
         """
+        try:
+            body = self._laden(values)
+            return body if body is self.scene.body or body.points else None  # where points are at rest is looked for here
+        except ValueError:  # it does not come to rest, or cells are turned over there
+            return None
+
+    def _laden(self, values) -> Body:
         body = self.scene.body.under(values)
         pulls = {name: 0.0 for term in self.extra for name in term.loads if values[name]}
         if not (pulls and self.scene.still and body.bears):
@@ -127,11 +134,8 @@ class Simulator:
         there = self._of(body, self._known_steps)
         pulling = {p.name for term in self.extra if term.loads for p in term.parameters}
         own = tuple((name, value) for name, value in sorted(values.items()) if name not in pulling)
-        try:
-            rest = self.unpulled.of(own, lambda: there.settle(values | pulls))
-            return body.laden(there.settle(values) - rest, values)
-        except ValueError:  # it does not come to rest
-            return None
+        rest = self.unpulled.of(own, lambda: there.settle(values | pulls))
+        return body.laden(there.settle(values) - rest, values)
 
     def penetrations(self, values, frames: int) -> Penetrations:
         """How far layers or strands went into each other in a run."""

@@ -29,6 +29,7 @@ ALIKE = 0.1  # of a body's size, RMS: frame 0 of another recording that is farth
 ONE = 1e-4  # m, RMS: clouds so near are one cloud, moved
 FOUND = 60  # rounds, at most, that find a place in the rest shape: where the body has turned by 40 degrees each gains a third of a digit
 SAME = 1e-12  # m, a round's change with which it is found
+ASTRAY = 10.0  # m, by which a search for a place in the rest shape that runs away misses it
 HALF = 0.5 + 1e-6  # of a cell, from a driven marker to a node that it carries
 
 
@@ -154,12 +155,15 @@ class Solid(Body):
         return replace(loaded(grid, nodes), notes=(*(n for n in self.notes if not n.startswith(SAID)), note))
 
     def at_rest(self, places) -> np.ndarray:
-        """(n, 3) m, where in the rest shape what is at ``places`` (n, 3) in frame 0 is."""
+        """(n, 3) m, where in the rest shape what is at ``places`` (n, 3) in frame 0 is. Raises ValueError where cells are so crushed or
+        turned over in frame 0 that the search runs away."""
         found = np.array(places, float)
         for _ in range(FOUND if self.equilibrium else 0):
             carriers, weights = self.grid.locate(found)
             missed = places - np.einsum("mk,mki->mi", weights, self.positions[carriers])
             found += missed
+            if not np.abs(missed).max(initial=0.0) < ASTRAY:
+                raise ValueError("cells must not be turned over in frame 0: what is on them has no place in the rest shape")
             if np.abs(missed).max(initial=0.0) < SAME:
                 break
         return found

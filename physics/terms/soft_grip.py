@@ -24,7 +24,7 @@ class SoftGrip(GripTerm):
     name = "soft_grip"
     parameters = (
         Parameter("grip_rate", 1000.0, 1.0, 3000.0, "1/s", "angular frequency w of a held mass", "log"),
-        Parameter("grip_damping", 0.2, 0.0, 2.0, "-", "damping ratio z of that"),
+        Parameter("grip_damping", 0.2, 0.01, 20.0, "-", "damping ratio z of that", "log"),
     )
     law = carry
 

@@ -17,7 +17,7 @@ from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
 from twinbench.diagnosis.inference.phases import _chances, _likely, _refuted
-from twinbench.diagnosis.inference.refit import gained, refitted
+from twinbench.diagnosis.inference.refit import begun, gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
@@ -458,6 +458,75 @@ def test_a_refit_finds_the_place_of_an_effect_beside_the_one_that_was_tried():
     assert np.linalg.norm(found.candidate.place - Placed.true) < 0.012 < np.linalg.norm(stuck.candidate.place - Placed.true)
     assert found.log_evidence > stuck.log_evidence + 3
     assert found.amounts.shape == found.sd.shape == (1,)
+
+
+class MadeUpFor(Bent):
+    """Twins whose fit has moved p0 by 4 deviations to make up for the effect: there it does a fifth as much, backwards."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        named = {"grip0_reach": -4.0, "p1": 0.0, "p2": 0.0}
+        self.unknowns = [SimpleNamespace(name=name, encode=float, value=told) for name, told in named.items()]
+        self.scaled, self.sds = np.zeros(3), np.ones(3)
+
+    def rows(self, rows):
+        self.cost.runs += len(rows)
+        found = self.world.run(np.array([[r[u.name] for u in self.unknowns] for r in rows]))
+        return found + np.array([r.get("push", 0.0) * (-0.2 - 0.3 * r["grip0_reach"]) * self.column for r in rows])
+
+
+def test_a_refit_begins_at_much_of_an_effect_that_a_little_of_says_nothing_about():
+    # p0 does 5 (e + w), the effect 40 e, whitened e and w of one length and at right angles: -4 of p0 leave 20 (e - w), along which p0
+    # gains nothing, so that the fit had ended where it is
+    world = World(9)
+    one = world.catalogue[0]
+    scatter, _, _ = world.evidence(world.reference)
+    fitting = scatter.likelihood(PRIOR, parameters=False)
+    e, w = (fitting.whitened(world.catalogue[k].columns[:, 0]) for k in (0, 1))
+    aside = world.catalogue[1].columns[:, 0] - (e @ w) / (e @ e) * one.columns[:, 0]
+    aside *= np.linalg.norm(e) / np.linalg.norm(fitting.whitened(aside))
+    world.slopes = np.c_[5 * (one.columns[:, 0] + aside), world.slopes[:, 1:]]
+    twins = MadeUpFor(world, one.columns[:, 0])
+    data = twins.rows([dict(grip0_reach=-4.0, p1=0.0, p2=0.0, push=40.0)])[0]
+    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE))
+
+    hiding = Candidate(replace(effect(low=0.0), hides="grip"), {})
+    tried = Signature(hiding, -one.columns, np.full(1, 5.0), np.full(1, 20.0))  # 5 of it make 1 mm where the fit ended
+    start = begun(*given, tried, DiagnosisConfig())
+    right, stuck = (refitted(*given, tried, DiagnosisConfig(), (), s) for s in (start, None))
+    assert start.numbers[0] == pytest.approx(-4.0, abs=2.0) and start.numbers[3] > 0  # as it was told, and much of it
+    assert right.amounts[0] == pytest.approx(40.0, rel=0.1) and right.shift[0] == pytest.approx(-4.0, rel=0.1)
+    assert stuck.amounts[0] < 1.0 and start.log_evidence > stuck.log_evidence + 10  # effects are refitted in the order of starts
+
+
+class Turning(Bent):
+    """Twins with two amounts, a little of which moves a body the other way than much of it does."""
+
+    def rows(self, rows):
+        self.cost.runs += len(rows)
+        found = self.world.run(np.array([[r[u.name] for u in self.unknowns] for r in rows]))
+        for k, row in enumerate(rows):
+            for name, column in zip(("push", "pull"), (self.column, self.other), strict=True):
+                found[k] += (abs(row.get(name, 0.0)) / 10 - 1) * row.get(name, 0.0) * column
+        return found
+
+
+def test_each_of_several_amounts_is_begun_both_ways():
+    # f(a) = a |a| / 10 - a: 25 of it move by 37.5 mm, and from nothing the way down ends at -5, which moves by 2.5
+    world = World(9)
+    one, other = (world.catalogue[k].columns[:, 0] for k in (0, 1))
+    twins = Turning(world, one)
+    twins.other = other
+    amounts = tuple(Amount(name, 1.0, -100.0, 100.0, "mm") for name in ("push", "pull"))
+    tried = Signature(Candidate(replace(effect(), amounts=amounts), {}), -np.c_[one, other], np.ones(2), np.full(2, 20.0))
+    scatter, _, _ = world.evidence(world.reference)
+    for name, sign in (("push", 1.0), ("pull", -1.0)):
+        data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0) | {name: 25.0 * sign}])[0]
+        given = (twins, data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE), tried)
+        start = begun(*given, DiagnosisConfig())
+        led, k = refitted(*given, DiagnosisConfig(), (), start), ("push", "pull").index(name)
+        assert sign * start.numbers[3 + k] > 0 == start.numbers[4 - k]
+        assert led.amounts[k] == pytest.approx(25.0 * sign, rel=0.05) and abs(led.amounts[1 - k]) < 1.0
 
 
 class Paced(Bent):

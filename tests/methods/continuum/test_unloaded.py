@@ -190,3 +190,16 @@ def test_a_fit_does_not_find_the_stiffness_that_it_began_with(hanging):
     twin = Continuum().fitted([noisy], config, fixed=dict(poisson=0.3, drag_damping=0.3))
     assert twin.values["youngs_modulus"] == pytest.approx(YOUNG, rel=0.1)
     assert twin.scene.body.equilibrium.modulus == twin.values["youngs_modulus"]
+
+
+def test_a_frame_0_of_cells_that_are_turned_over_is_no_run(hanging, monkeypatch):
+    # turned inside out and three times as large, no place in the rest shape leads to where points are
+    scene = hanging[2]
+    body = scene.body
+    crushed = replace(
+        body, equilibrium=replace(body.equilibrium, nodes=body.positions.mean(0) - 3 * (body.positions - body.positions.mean(0)))
+    )
+    with pytest.raises(ValueError, match="must not be turned over in frame 0"):
+        crushed.at_rest(scene.structure)
+    monkeypatch.setattr(Solid, "under", lambda body, values: crushed)
+    assert np.isnan(Simulator(scene).run([SOFT], 3)).all()
