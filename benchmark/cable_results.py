@@ -18,6 +18,8 @@ __all__ = ["FIELDS", "Found", "markdown", "repeated", "write"]
 FIELDS = ("cable", "seed", "step", "term", "recording", "all_mm", "free_mm", "still_all_mm", "still_free_mm")
 STEP_FIELDS = ("cable", "seed", "step", "term", "said", "before_mm", "after_mm", "log_gain", "log_gain_se")
 VALUE_FIELDS = ("cable", "seed", "step", "term", "parameter", "value")
+LOSSES = dict.fromkeys(("rope_creep", "rope_friction", "rope_relaxing", "rope_yielding"), "bending_damping")
+# what takes energy out of bends: by which law, motions of a second or two hardly tell, and each stands for most of the others
 COLUMNS = ("eval, all markers: mean", "median", "free markers: mean", "median", "started at rest, all: mean")
 
 
@@ -124,12 +126,19 @@ def markdown(found: Sequence[Found]) -> str:
     return "\n".join(text)
 
 
+def _with_laws(name: str, found: Sequence[Found]) -> str:
+    """``name``, and as which other laws some seeds found it."""
+    laws = [(f.seed, [n for n in f.climb.kept if LOSSES.get(n) == name]) for f in found]
+    said = "; ".join(f"seed {seed}: as {', '.join(own)}" for seed, own in laws if own)
+    return f"{name} ({said})" if said else name
+
+
 def repeated(found: Sequence[Found]) -> str:
     """What every seed found of one cable, and what one or some did."""
     if len(found) < 2:
         return "Believed is what every one of several seeds ends with; this is one seed."
-    every = believed([f.climb for f in found])
-    others = {name: [f.seed for f in found if name in f.climb.kept] for f in found for name in f.climb.kept if name not in every}
-    said = f"Believed, since every seed ends with it: {', '.join(every) or 'nothing'}."
+    every = believed([f.climb for f in found], LOSSES)
+    others = {n: [f.seed for f in found if n in f.climb.kept] for f in found for n in f.climb.kept if LOSSES.get(n, n) not in every}
+    said = f"Believed, since every seed ends with it: {', '.join(_with_laws(name, found) for name in every) or 'nothing'}."
     once = ", ".join(f"{name} (seed {', '.join(map(str, seeds))})" for name, seeds in others.items())
     return said + (f" Not repeated: {once}." if once else "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -123,14 +123,16 @@ class Climb:
         return self.steps[-1].fit if self.steps else self.first
 
 
-def believed(climbs: Sequence[Climb]) -> tuple[str, ...]:
+def believed(climbs: Sequence[Climb], alike: Mapping[str, str] | None = None) -> tuple[str, ...]:
     """Names that all of two and more ``climbs`` over other splits of the recordings ended with; of one climb nothing has repeated.
 
     What a single split accepts may be what its recordings have by chance: of a dozen candidates the best exceeds two standard errors so.
+    ``alike``: of laws for the same physics, the name that they count as.
     """
     if len(climbs) < 2:
         return ()
-    return tuple(name for name in climbs[0].kept if all(name in other.kept for other in climbs[1:]))
+    kept = [dict.fromkeys((alike or {}).get(name, name) for name in climb.kept) for climb in climbs]
+    return tuple(name for name in kept[0] if all(name in other for other in kept[1:]))
 
 
 def errors(task: Task, model: Model, z) -> np.ndarray:

@@ -81,7 +81,7 @@ def begun(forward: Forward, data, reference, slopes, likelihood: Likelihood, row
     steps = {k: search.step(at, search.slopes, search.low, search.high, unknowns) for k, at in enumerate(places) if np.isfinite(at.cost)}
     best = sorted(steps, key=lambda k: places[k].cost - steps[k][1])[:LED]
     changed = [np.clip(places[k].numbers + steps[k][0], search.low, search.high) for k in best]
-    at = min(search.place(np.zeros(search.size), reference), *places, *search.places(changed), key=lambda one: one.cost)
+    at = min([search.place(np.zeros(search.size), reference), *places, *search.places(changed)], key=lambda one: one.cost)
     return Start(search.scale, at.numbers, search.evidence(at, search.slopes)[0])
 
 

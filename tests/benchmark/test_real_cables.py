@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from twinbench.benchmark.cable_results import markdown, write
+from twinbench.benchmark.cable_results import LOSSES, markdown, write
 from twinbench.benchmark.real_cables import Cable, Plan, cable_replica, common_shapes, run, study, window
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Scenario, Split, TransferPair
@@ -142,6 +142,17 @@ def test_what_does_not_repeat_is_not_believed():
     assert believed(climbs) == ("bending", "natural_curvature") and believed(climbs[:1]) == ()
     both = [replace(found(), seed=k, climb=one) for k, one in enumerate(climbs)]
     assert "ends with it: bending, natural_curvature. Not repeated: rest_shape (seed 0)." in markdown(both)
+
+
+def test_laws_of_one_loss_repeat_each_other():
+    def climbed(law):
+        steps = [Step(name, 1.0, 0.5, 0.1, (), (), found().fits[-1]) for name in ("bending", law)]
+        return Climb(found().climb.first, 1.0, tuple(steps), (), {})
+
+    climbs = [climbed("bending_damping"), climbed("rope_friction")]
+    assert believed(climbs) == ("bending",) and believed(climbs, LOSSES) == ("bending", "bending_damping")
+    both = [replace(found(), seed=k, climb=one) for k, one in enumerate(climbs)]
+    assert "ends with it: bending, bending_damping (seed 1: as rope_friction)." in markdown(both)
 
 
 def test_a_window_begins_where_it_is_told():

@@ -529,6 +529,19 @@ def test_each_of_several_amounts_is_begun_both_ways():
         assert led.amounts[k] == pytest.approx(25.0 * sign, rel=0.05) and abs(led.amounts[1 - k]) < 1.0
 
 
+def test_a_fault_of_what_was_measured_begins_where_the_fit_ended():
+    # it is nearly linear, and its runs, each in a scene of its own, are the dearest
+    world = World(9)
+    one = world.catalogue[0]
+    twins = Bent(world, one.columns[:, 0])
+    fault = replace(effect(), seen=lambda scene, amounts: scene, amounts=tuple(Amount(n, 1.0, -9.0, 9.0, "mm") for n in ("push", "pull")))
+    tried = Signature(Candidate(fault, {}), np.repeat(one.columns, 2, 1), np.ones(2), np.full(2, 20.0))
+    scatter, _, _ = world.evidence(world.reference)
+    fitting = scatter.likelihood(PRIOR, parameters=False)
+    start = begun(twins, world.reference, world.reference, world.slopes, fitting, np.arange(SIZE), tried, DiagnosisConfig())
+    assert not start.numbers.any() and twins.cost.runs == 0
+
+
 class Paced(Bent):
     """Twins whose one effect has a pace: a power of two of it turns the effect's column by as much of another one."""
 
