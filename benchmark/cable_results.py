@@ -18,7 +18,7 @@ __all__ = ["FIELDS", "Found", "markdown", "repeated", "write"]
 FIELDS = ("cable", "seed", "step", "term", "recording", "all_mm", "free_mm", "still_all_mm", "still_free_mm")
 STEP_FIELDS = ("cable", "seed", "step", "term", "said", "before_mm", "after_mm", "log_gain", "log_gain_se")
 VALUE_FIELDS = ("cable", "seed", "step", "term", "parameter", "value")
-LOSSES = dict.fromkeys(("rope_creep", "rope_friction", "rope_relaxing", "rope_yielding"), "bending_damping")
+LOSSES: dict[str, str] = dict.fromkeys(("rope_creep", "rope_friction", "rope_relaxing", "rope_yielding"), "bending_damping")
 # what takes energy out of bends: by which law, motions of a second or two hardly tell, and each stands for most of the others
 COLUMNS = ("eval, all markers: mean", "median", "free markers: mean", "median", "started at rest, all: mean")
 
@@ -127,9 +127,9 @@ def markdown(found: Sequence[Found]) -> str:
 
 
 def _with_laws(name: str, found: Sequence[Found]) -> str:
-    """``name``, and as which other laws some seeds found it."""
-    laws = [(f.seed, [n for n in f.climb.kept if LOSSES.get(n) == name]) for f in found]
-    said = "; ".join(f"seed {seed}: as {', '.join(own)}" for seed, own in laws if own)
+    """``name``, and as or with which other laws some seeds found it."""
+    laws = [(f.seed, "with" if name in f.climb.kept else "as", [n for n in f.climb.kept if LOSSES.get(n) == name]) for f in found]
+    said = "; ".join(f"seed {seed}: {how} {', '.join(own)}" for seed, how, own in laws if own)
     return f"{name} ({said})" if said else name
 
 

@@ -165,8 +165,12 @@ def climb(
     accepted where its gain, paired over the validation recordings, exceeds ``SURE`` standard errors and ``WORTH``, the greatest gain first,
     and one that was accepted stays unless the twin without it is within one standard error, or ``WORTH``, of the twin with it (Breiman et
     al. 1984, section 3.4.3); ``doubted`` parts of the twin are treated as if they had been accepted. ``scouting`` is a part of ``task`` on
-    which starts are chosen.
+    which starts are chosen. Raises ValueError where one is asked after another that is not among them.
     """
+    names = {c.name for c in (*candidates, *doubted)}
+    for one in candidates:
+        if one.after and one.after not in names:
+            raise ValueError(f"candidate {one.name} is asked after {one.after}, which must be a candidate, got {', '.join(sorted(names))}")
     steps, found, accepted = [], base, list(doubted)
     first = base
     start_error = float(errors(validation, base.model, base.z).mean())
@@ -271,7 +275,7 @@ def _ablated(task, validation, found, accepted, iterations):
     """The fit without those of the earlier ones that it no longer needs, and their names."""
     dropped = []
     for one in accepted[:-1]:
-        if any(other.needs == one.name for other in accepted if other.name not in dropped):
+        if any(one.name in (other.needs, other.after) for other in accepted if other.name not in dropped):
             continue
         bare = _without(found, one)
         bare = best(task, [bare, _fit(task, bare.model, bare.z, iterations)])

@@ -19,7 +19,7 @@ from .covariance import Prior, Scatter, chosen
 from .forward import Forward
 from .members import Member, drawn, ran
 from .refit import Gain, Refit, Start, begun, gained, refitted
-from .scan import Signature, signatures, usual_errors
+from .scan import Score, Signature, signatures, usual_errors
 from .significance import Significance, fitted_rows, significance, unexplained
 from .wander import Wander, wander
 
@@ -178,7 +178,8 @@ def weighed(
 ) -> Answer:
     """The test (``found``, if it was made before), names, detectable sizes and the budget of what ``gathered`` returns.
 
-    Where the test alarms, the best candidates are refitted, which costs as many runs as all before, unless ``refits`` says otherwise.
+    Where the test alarms, much of each effect is tried, and the best are refitted, which costs twice as many runs as all before and more,
+    unless ``refits`` says otherwise.
     """
     tell = progress or (lambda _: None)
     e, scatter, layout = evidence, evidence.scatter, evidence.scatter.layout
@@ -196,14 +197,15 @@ def weighed(
     def begin(k: int, forward: Forward) -> Start:
         return begun(forward, *common, e.catalogue[k], config)
 
-    firsts = [own[0] for own in likely.values()] if refits else []
+    firsts = [k for k, *_ in likely.values() if not e.catalogue[k].candidate.effect.seen] if refits else []
     starts = dict(zip(firsts, e.forward.each(begin, firsts), strict=True))
-    led = {k: max(test.scores[k].log_evidence, one.log_evidence - sound.log_evidence) for k, one in starts.items()}
-    asked = [e.catalogue[k].name for k in sorted(led, key=lambda k: -led[k])[: config.refitted]]
+    led = {e.catalogue[k].name: one.log_evidence - sound.log_evidence for k, one in starts.items()}
+    asked = _in_order(test.scores, led)[: config.refitted] if refits else []
     members = list(zip(scatter.only(rows).left_out(prior, parameters=False), e.noisy[:, rows], strict=True)) if asked else []
 
     def refit(k: int, forward: Forward) -> Refit:
-        return refitted(forward, *common, e.catalogue[k], config, members, starts.get(k))
+        seen = e.catalogue[k].candidate.effect.seen  # faults of what was measured are nearly linear
+        return refitted(forward, *common, e.catalogue[k], config, members, starts.get(k) or (None if seen else begin(k, forward)))
 
     while asked:
         which = [k for name in asked for k in likely[name]]
@@ -277,6 +279,14 @@ def _likely(test: Significance, catalogue, config: DiagnosisConfig) -> dict[str,
         elsewhere = [k for k in own[1:] if usual[k] > usual[own[0]] - WORSE and _apart(catalogue[k], catalogue[own[0]]) > config.astray]
         found[name] = [own[0], *elsewhere[:1]]
     return found
+
+
+def _in_order(scores: Sequence[Score], led: Mapping[str, float]) -> list[str]:
+    """Names of effects, the likeliest first: by the better of linear evidence, of any candidate, and that of the best start (``led``)."""
+    best = dict(led)
+    for one in scores:
+        best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
+    return sorted(best, key=lambda name: -best[name])
 
 
 def _apart(one: Signature, other: Signature) -> float:

@@ -62,7 +62,7 @@ class Refit:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a refit begins: ``numbers`` (n + m + k + f,) as a place has them, amounts on a ``scale``; ``log_evidence`` there."""
+    """Where a refit begins: ``numbers`` (N,) as ``Place`` has them, amounts on a ``scale``; ``log_evidence`` there."""
 
     scale: Scale
     numbers: np.ndarray
@@ -86,14 +86,9 @@ def begun(forward: Forward, data, reference, slopes, likelihood: Likelihood, row
 
 
 def _sizes(search: Search, signature: Signature) -> np.ndarray:
-    """(K, N) numbers: sizes of each amount, on its sides; of what hides with all shapes, and what it hides in as it was told.
-
-    None of faults of what was measured, which are nearly linear.
-    """
+    """(K, N) numbers: sizes of each amount, on its sides; of what hides with all shapes, and what it hides in as it was told."""
     effect, (unknowns, amounts, _, forms) = signature.candidate.effect, search.parts
     knots = search.scale.knots if search.scale else None
-    if effect.seen:
-        return np.zeros((0, search.size))
     if knots is None:
         sizes = [side * way * one for one in np.eye(len(effect.amounts)) for way in WAYS for side in (1.0, -1.0)]
     else:
@@ -113,10 +108,11 @@ def _sizes(search: Search, signature: Signature) -> np.ndarray:
 
 def _told(forward: Forward, prefix: str) -> np.ndarray:
     """(n,) prior standard deviations from where the fit ended to what was told of the unknowns with a ``prefix``; 0 of others."""
-    if not prefix:
-        return np.zeros(len(forward.unknowns))
-    bent = [re.search(rf"(^|_){prefix}\d*_", u.name) is not None for u in forward.unknowns]
-    return np.where(bent, (np.array([u.encode(u.value) for u in forward.unknowns]) - forward.scaled) / forward.sds, 0.0)
+    found = np.zeros(len(forward.unknowns))
+    for k, unknown in enumerate(forward.unknowns):
+        if prefix and re.search(rf"(^|_){prefix}\d*_", unknown.name):
+            found[k] = (unknown.encode(unknown.value) - forward.scaled[k]) / forward.sds[k]
+    return found
 
 
 def refitted(
@@ -137,13 +133,13 @@ def refitted(
     likelihood  of these rows, without what parameters do, which are fitted
     sound       what sound twins leave of these rows, each with the likelihood by the others
 
-    All refits of a recording have the same budget of steps. Slopes
-    are the shared ones at first, corrected after each step by what it missed (``slopes``), and measured again where a step gained less than
-    a fifth of what they promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has
-    arrived where fresh slopes lead nowhere. Shapes stay as they were tried until all else has arrived: what they lead to is better than
-    without. A place has a prior of ``config.astray`` around the one that was tried, the logarithm of a shape one
-    of ``config.reshaped``, amounts one by the motion that they make (``amounts``). What would take more than ``config.dearest`` times the
-    steps is not run. Runs end with the fitted frames, but one where the refit arrived; where that diverges, all frames are run all along.
+    All refits of a recording have the same budget of steps. Slopes are the shared ones at first, or such as are measured at its start,
+    corrected after each step by what it missed (``slopes``), and measured again where a step gained less than a fifth of what they
+    promised: an effect that moves a body by centimetres leads far from where the sound twin's fit ended. A refit has arrived where fresh
+    slopes lead nowhere. Shapes stay as they were tried until all else has arrived: what they lead to is better than without. A place has a
+    prior of ``config.astray`` around the one that was tried, the logarithm of a shape one of ``config.reshaped``, amounts one by the motion
+    that they make (``amounts``). What would take more than ``config.dearest`` times the steps is not run. Runs end with the fitted frames,
+    but one where the refit arrived; where that diverges, all frames are run all along, from where the fit ended.
     """
     given = (data, reference, slopes, likelihood, rows, signature, config)
     alone = forward.fitted_alone(reference)
@@ -154,7 +150,7 @@ def refitted(
         (forward, {}) if found.candidate is None else (forward.with_effects([found.candidate]), found.candidate.values(found.amounts))
     )
     whole = twins.rows([{**forward.values(found.shift), **more}])[0]
-    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, *given, sound, start)
+    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, *given, sound, None)
 
 
 def _searched(forward, data, reference, slopes, likelihood, rows, signature, config, sound, start) -> Refit:
@@ -164,10 +160,11 @@ def _searched(forward, data, reference, slopes, likelihood, rows, signature, con
     at, jacobian, fresh = search.place(np.zeros(search.size), reference), search.slopes, False
     held = np.zeros(search.size, bool)
     held[forms] = True
-    first = forward.cost.runs
     if start is not None and start.numbers.any():
         at = min(at, *search.places([start.numbers]), key=lambda one: one.cost)
-        jacobian, fresh = search.measured(at, jacobian, low, high, ~held), True
+        if at.numbers.any():
+            jacobian, fresh = search.measured(at, jacobian, low, high, ~held), True
+    first = forward.cost.runs
     low[held], high[held] = at.numbers[held], at.numbers[held]
     for _ in range(config.steps):
         if forward.cost.runs - first >= config.runs:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,7 @@ class Search:
     low, high   (N,) numbers
     slopes      (B, N) m where all numbers are 0
     most        steps a frame that a run may take
+    sized       (B,) m of runs in some sizes of the one amount, by these, beside the twin where its fit ended
     """
 
     forward: Forward
@@ -54,6 +55,7 @@ class Search:
     high: np.ndarray
     slopes: np.ndarray
     most: float
+    sized: Mapping[float, np.ndarray]
 
     @classmethod
     def of(
@@ -72,20 +74,24 @@ class Search:
         (low, high), nothing = forward.bounds, np.zeros(slopes.shape[1])
         most = config.dearest * forward.steps(forward.values(nothing))
         if signature is None:
-            return cls(forward, forward, data, likelihood, rows, config, None, None, low, high, slopes, most)
+            return cls(forward, forward, data, likelihood, rows, config, None, None, low, high, slopes, most, {})
         tried = signature.candidate
         twins = forward.with_effects([tried])
 
+        sized = {}
+
         def ran(sizes):
             values = [{**forward.values(nothing), **tried.values(a)} for a in sizes]
-            return run_within(values, twins.rows, twins.steps, most, len(data))[:, rows]
+            found = run_within(values, twins.rows, twins.steps, most, len(data))
+            sized.update({float(a[0]): run for a, run in zip(sizes, found, strict=True)})
+            return found[:, rows]
 
         scale = scale or Scale.of(signature, ran, reference[rows], config.motion)
         astray = np.full(len(tried.coordinates) + len(tried.effect.forms), FARTHEST)
         low, high = np.r_[low, scale.low, -astray], np.r_[high, scale.high, astray]
         own = signature.columns / signature.unit * scale.slope(np.zeros(len(signature.unit)))
         slopes = np.c_[slopes, own, np.zeros((len(slopes), len(astray)))]
-        return cls(forward, twins, data, likelihood, rows, config, signature, scale, low, high, slopes, most)
+        return cls(forward, twins, data, likelihood, rows, config, signature, scale, low, high, slopes, most, sized)
 
     @property
     def size(self) -> int:
@@ -123,9 +129,18 @@ class Search:
         return Place(numbers, prediction, float(numbers @ numbers) / 2 - density)
 
     def places(self, numbers: Iterable[np.ndarray]) -> list[Place]:
-        """Those that each of ``numbers`` (K, N) lead to."""
+        """Those that each of ``numbers`` (K, N) lead to; what was run already is not run again."""
         asked = list(numbers)
-        return [self.place(*pair) for pair in zip(asked, self.run(asked), strict=True)] if asked else []
+        known = [self._known(row) for row in asked]
+        new = [row for row, run in zip(asked, known, strict=True) if run is None]
+        runs = iter(self.run(new)) if new else iter(())
+        return [self.place(row, next(runs) if run is None else run) for row, run in zip(asked, known, strict=True)]
+
+    def _known(self, numbers) -> np.ndarray | None:
+        amounts = self.parts[1]
+        if not self.sized or self.scale is None or np.delete(numbers, amounts).any():
+            return None
+        return self.sized.get(float(self.scale.amounts(numbers[amounts])[0]))
 
     def measured(self, at: Place, jacobian, low, high, which) -> np.ndarray:
         """(B, N) slopes by differences around a place, of a deviation each over 20; what they were where a run diverged, or of numbers

@@ -120,14 +120,14 @@ class Simulator:
         Where frame 0 is an equilibrium, it is one under what further terms say pulls at the body: how far that moves it, once with the
         pull and once without, is how far its rest shape is from frame 0 beside what gravity makes of it.
         """
+        body = self.scene.body.under(values)
         try:
-            body = self._laden(values)
+            body = self._laden(body, values)
             return body if body is self.scene.body or body.points else None  # where points are at rest is looked for here
         except ValueError:  # it does not come to rest, or cells are turned over there
             return None
 
-    def _laden(self, values) -> Body:
-        body = self.scene.body.under(values)
+    def _laden(self, body: Body, values) -> Body:
         pulls = {name: 0.0 for term in self.extra for name in term.loads if values[name]}
         if not (pulls and self.scene.still and body.bears):
             return body

@@ -7,15 +7,16 @@ from functools import cache
 import numpy as np
 import pytest
 from twinbench.benchmark.cable_results import LOSSES, markdown, write
-from twinbench.benchmark.real_cables import Cable, Plan, cable_replica, common_shapes, run, study, window
+from twinbench.benchmark.real_cables import Cable, Plan, cable_replica, candidates, common_shapes, run, study, window
 from twinbench.datasets.collection import Collection
 from twinbench.datasets.scenario import Scenario, Split, TransferPair
-from twinbench.diagnosis.ladder import Climb, Step, believed
+from twinbench.diagnosis.ladder import Climb, Step, believed, climb
 from twinbench.physics.batch import Batch
 from twinbench.physics.system import System
 from twinbench.physics.terms import Dashpot, Gravity, LinearDrag, Springs
 from twinbench.physics.terms.bending import Bending
 from twinbench.physics.terms.bending_damping import BendingDamping
+from twinbench.physics.terms.natural_curvature import MODES
 from twinbench.physics.topology import rope_hinges
 
 FPS, STEP, FINE = 50.0, 0.05, 17  # Hz, m, nodes: twice as fine as the markers
@@ -145,14 +146,25 @@ def test_what_does_not_repeat_is_not_believed():
 
 
 def test_laws_of_one_loss_repeat_each_other():
-    def climbed(law):
-        steps = [Step(name, 1.0, 0.5, 0.1, (), (), found().fits[-1]) for name in ("bending", law)]
+    def climbed(*laws):
+        steps = [Step(name, 1.0, 0.5, 0.1, (), (), found().fits[-1]) for name in ("bending", *laws)]
         return Climb(found().climb.first, 1.0, tuple(steps), (), {})
 
     climbs = [climbed("bending_damping"), climbed("rope_friction")]
     assert believed(climbs) == ("bending",) and believed(climbs, LOSSES) == ("bending", "bending_damping")
     both = [replace(found(), seed=k, climb=one) for k, one in enumerate(climbs)]
     assert "ends with it: bending, bending_damping (seed 1: as rope_friction)." in markdown(both)
+    both[0] = replace(both[0], climb=climbed("bending_damping", "rope_creep"))
+    assert "bending_damping (seed 0: with rope_creep; seed 1: as rope_friction)." in markdown(both)
+
+
+def test_what_comes_after_another_is_asked_only_beside_it():
+    asked = candidates(np.random.default_rng(0), 1.0, np.zeros((1, MODES), complex))
+    after = {c.name for c in asked if c.after}
+    assert after == set(LOSSES)
+    alone = [c for c in asked if c.name in after]
+    with pytest.raises(ValueError, match=r"is asked after bending, which must be a candidate, got rope_creep"):
+        climb(None, None, None, None, alone, iterations=1)
 
 
 def test_a_window_begins_where_it_is_told():

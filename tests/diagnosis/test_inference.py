@@ -16,7 +16,7 @@ from twinbench.diagnosis.inference.budget import budget, detectable
 from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
-from twinbench.diagnosis.inference.phases import _chances, _likely, _refuted
+from twinbench.diagnosis.inference.phases import _chances, _in_order, _likely, _refuted
 from twinbench.diagnosis.inference.refit import begun, gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
@@ -529,19 +529,6 @@ def test_each_of_several_amounts_is_begun_both_ways():
         assert led.amounts[k] == pytest.approx(25.0 * sign, rel=0.05) and abs(led.amounts[1 - k]) < 1.0
 
 
-def test_a_fault_of_what_was_measured_begins_where_the_fit_ended():
-    # it is nearly linear, and its runs, each in a scene of its own, are the dearest
-    world = World(9)
-    one = world.catalogue[0]
-    twins = Bent(world, one.columns[:, 0])
-    fault = replace(effect(), seen=lambda scene, amounts: scene, amounts=tuple(Amount(n, 1.0, -9.0, 9.0, "mm") for n in ("push", "pull")))
-    tried = Signature(Candidate(fault, {}), np.repeat(one.columns, 2, 1), np.ones(2), np.full(2, 20.0))
-    scatter, _, _ = world.evidence(world.reference)
-    fitting = scatter.likelihood(PRIOR, parameters=False)
-    start = begun(twins, world.reference, world.reference, world.slopes, fitting, np.arange(SIZE), tried, DiagnosisConfig())
-    assert not start.numbers.any() and twins.cost.runs == 0
-
-
 class Paced(Bent):
     """Twins whose one effect has a pace: a power of two of it turns the effect's column by as much of another one."""
 
@@ -576,6 +563,44 @@ def test_a_refit_finds_the_pace_of_an_effect_beside_the_one_that_was_tried():
     assert kept.candidate.fixed["pace"] == 1.0 and right.log_evidence > kept.log_evidence + 3
     blind, plain = found(np.zeros(SIZE), 2.5), found(np.zeros(SIZE), 2.5, reshaped=1.0)
     assert blind.candidate.fixed["pace"] == pytest.approx(1.0) and blind.log_evidence == pytest.approx(plain.log_evidence)
+
+
+def test_what_hides_is_begun_at_other_shapes_than_the_one_that_is_asked():
+    # the true pace is four times the one that is asked; as that is, the effect does what the twin's own slopes do, and is not missed
+    world = World(12)
+    law = SimpleNamespace(parameters=(Parameter("pace", 1.0, 0.1, 10.0, "s", "how fast", "log"),))
+    paced = replace(effect(low=0.0), term=law, shapes={"pace": (1.0,)}, hides="grip")
+    one = replace(world.catalogue[0], candidate=Candidate(paced, {"pace": 1.0}))
+    twins = Paced(world, one.columns[:, 0])
+    twins.way = world.catalogue[1].columns[:, 0]
+    scatter, _, _ = world.evidence(world.reference)
+    fitting = scatter.likelihood(PRIOR, parameters=False)
+    data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0, push=15.0, pace=4.0)])[0]
+    start = begun(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig())
+    assert start.numbers[-1] == 2.0 and start.numbers[3] > 0  # two deviations of a factor of two
+
+
+def test_sizes_whose_motion_is_known_are_run_once():
+    world = World(9)
+    one = world.catalogue[0]
+    twins = Bent(world, one.columns[:, 0])
+    scatter, _, _ = world.evidence(world.reference)
+    fitting = scatter.likelihood(PRIOR, parameters=False)
+    data = twins.rows([dict(p0=0.3, p1=0.0, p2=0.0, push=12.0)])[0]
+    before = twins.cost.runs
+    start = begun(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig())
+    assert start.numbers[3] > 0 and twins.cost.runs - before == 10 + 2  # five sizes on each side, two that are led
+    first = twins.cost.runs
+    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one)
+    led = refitted(*given, DiagnosisConfig(runs=1), (), start)
+    # what is measured at the start (one run of it, and four slopes) is not of the budget, of which the least is a step
+    assert twins.cost.runs - first > 1 + 4 and led.log_evidence > start.log_evidence
+
+
+def test_effects_are_refitted_in_the_order_of_the_better_of_two_evidences():
+    scores = [Score(name, 0.0, logs, (0.0,), 0.0) for name, logs in (("a", 9.0), ("b", 2.0), ("b", 4.0), ("c", 3.0), ("d", 1.0))]
+    assert _in_order(scores, {}) == ["a", "b", "c", "d"]
+    assert _in_order(scores, {"a": -5.0, "c": 3.5, "d": 50.0}) == ["d", "a", "b", "c"]
 
 
 def test_amounts_have_a_prior_by_what_they_do():
