@@ -44,7 +44,8 @@ class DiagnosisConfig:
     restless    share of its motion that a settled twin may miss before another search: a thrown rope missed 12 % in one and 0.5 % in the
                 next, 81 other sound ropes 7 % at most (results/inference.md)
     probe       motion by which a signature is measured [mm]: above rounding (0.01 mm) and within the effect's linear part
-    refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members
+    refitted    candidates that are refitted nonlinearly, one of each effect: a refit costs as much as half of the members. Which ones,
+                evidence of a little and of much of each effect says, which costs as much as three or four of them
     astray      prior standard deviation of each coordinate of a place in such a refit [mm]: places that are tried lie some 5 cm apart
     reshaped    standard deviation, as a factor, of a time, length or speed of an effect from where it was tried in such a refit: times that
                 are tried lie a factor of four apart, and others are tried at one or two
