@@ -18,9 +18,9 @@ __all__ = ["FIELDS", "Found", "markdown", "repeated", "write"]
 FIELDS = ("cable", "seed", "step", "term", "recording", "all_mm", "free_mm", "still_all_mm", "still_free_mm")
 STEP_FIELDS = ("cable", "seed", "step", "term", "said", "before_mm", "after_mm", "log_gain", "log_gain_se")
 VALUE_FIELDS = ("cable", "seed", "step", "term", "parameter", "value")
-LOSSES: dict[str, str] = dict.fromkeys(("rope_creep", "rope_friction", "rope_relaxing", "rope_yielding"), "bending_damping")
-# what takes energy out of bends: by which law, motions of a second or two hardly tell, and each stands for most of the others
 COLUMNS = ("eval, all markers: mean", "median", "free markers: mean", "median", "started at rest, all: mean")
+# what takes energy out of bends: by which law, motions of a second or two hardly tell, and each stands for most of the others
+LOSSES: dict[str, str] = dict.fromkeys(("rope_creep", "rope_friction", "rope_relaxing", "rope_yielding"), "bending_damping")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from .forward import Forward
 from .members import Member, drawn, ran
 from .refit import Gain, Refit, Start, begun, gained, refitted
 from .scan import Score, Signature, signatures, usual_errors
+from .search import Asked
 from .significance import Significance, fitted_rows, significance, unexplained
 from .wander import Wander, wander
 
@@ -188,24 +189,24 @@ def weighed(
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
     rows = np.flatnonzero(layout.fitted)
     fitting = scatter.only(rows).likelihood(prior, parameters=False)
-    common = (e.forward.data, e.reference, e.slopes, fitting, rows)
-    sound = refitted(e.forward, *common, None, config)
+    common = Asked(e.forward.data, e.reference, e.slopes, fitting, rows)
+    sound = refitted(e.forward, common, None, config)
     alarm = found.alarms(config)
     likely, tried, chances = _likely(test, e.catalogue, config), {}, _chances(test, e.catalogue, {})
     refits = refits and alarm
 
-    def begin(k: int, forward: Forward) -> Start:
-        return begun(forward, *common, e.catalogue[k], config)
+    def begin(k: int, forward: Forward) -> Start | None:
+        return begun(forward, common, e.catalogue[k], config)
 
-    firsts = [k for k, *_ in likely.values() if not e.catalogue[k].candidate.effect.seen] if refits else []
+    firsts = [k for k, *_ in likely.values()] if refits else []
     starts = dict(zip(firsts, e.forward.each(begin, firsts), strict=True))
-    led = {e.catalogue[k].name: one.log_evidence - sound.log_evidence for k, one in starts.items()}
+    led = {e.catalogue[k].name: one.log_evidence - sound.log_evidence for k, one in starts.items() if one}
     asked = _in_order(test.scores, led)[: config.refitted] if refits else []
     members = list(zip(scatter.only(rows).left_out(prior, parameters=False), e.noisy[:, rows], strict=True)) if asked else []
 
     def refit(k: int, forward: Forward) -> Refit:
-        seen = e.catalogue[k].candidate.effect.seen  # faults of what was measured are nearly linear
-        return refitted(forward, *common, e.catalogue[k], config, members, starts.get(k) or (None if seen else begin(k, forward)))
+        start = starts[k] if k in starts else begin(k, forward)
+        return refitted(forward, common, e.catalogue[k], config, members, start)
 
     while asked:
         which = [k for name in asked for k in likely[name]]

@@ -21,7 +21,7 @@ from .amounts import Scale
 from .forward import Forward
 from .likelihood import Likelihood
 from .scan import Signature
-from .search import FARTHEST, Search, normal
+from .search import FARTHEST, Asked, Search, normal
 from .slopes import corrected
 
 __all__ = ["Gain", "Refit", "Start", "begun", "gained", "refitted"]
@@ -69,25 +69,28 @@ class Start:
     log_evidence: float
 
 
-def begun(forward: Forward, data, reference, slopes, likelihood: Likelihood, rows, signature: Signature, config: DiagnosisConfig) -> Start:
+def begun(forward: Forward, asked: Asked, signature: Signature, config: DiagnosisConfig) -> Start | None:
     """The best of some sizes of ``signature``'s candidate, each beside the twin where its fit ended, the most promising also beside one
     that has changed as the reference's slopes ask for; arguments as ``refitted`` has them.
 
     Of an effect that hides (``Effect.hides``) shapes are tried beside the one that is asked, and what it hides in is also as it was told.
+    None of a fault of what was measured, which is nearly linear.
     """
-    search = Search.of(forward.fitted_alone(reference), data, reference, slopes, likelihood, rows, signature, config)
+    if signature.candidate.effect.seen:
+        return None
+    search = Search.of(forward.fitted_alone(asked.reference), asked, signature, config)
     assert search.scale is not None  # as of all that has a signature
     places, unknowns = search.places(_sizes(search, signature)), search.parts[0]
     steps = {k: search.step(at, search.slopes, search.low, search.high, unknowns) for k, at in enumerate(places) if np.isfinite(at.cost)}
     best = sorted(steps, key=lambda k: places[k].cost - steps[k][1])[:LED]
     changed = [np.clip(places[k].numbers + steps[k][0], search.low, search.high) for k in best]
-    at = min([search.place(np.zeros(search.size), reference), *places, *search.places(changed)], key=lambda one: one.cost)
+    at = min([search.place(np.zeros(search.size), asked.reference), *places, *search.places(changed)], key=lambda one: one.cost)
     return Start(search.scale, at.numbers, search.evidence(at, search.slopes)[0])
 
 
 def _sizes(search: Search, signature: Signature) -> np.ndarray:
     """(K, N) numbers: sizes of each amount, on its sides; of what hides with all shapes, and what it hides in as it was told."""
-    effect, (unknowns, amounts, _, forms) = signature.candidate.effect, search.parts
+    effect, spots = signature.candidate.effect, np.zeros(len(signature.candidate.coordinates))
     knots = search.scale.knots if search.scale else None
     if knots is None:
         sizes = [side * way * one for one in np.eye(len(effect.amounts)) for way in WAYS for side in (1.0, -1.0)]
@@ -95,15 +98,9 @@ def _sizes(search: Search, signature: Signature) -> np.ndarray:
         sizes = [np.array([number]) for number in knots[0] if number]
     told = _told(search.forward, effect.hides)
     bends = [np.zeros_like(told), told] if told.any() else [told]
-    shapes = list(product(FORMS if effect.hides else (0.0,), repeat=len(effect.forms)))
-    found = np.zeros((len(bends), len(sizes), len(shapes), search.size))
-    for k, bend in enumerate(bends):
-        found[k, ..., unknowns] = bend
-    for k, size in enumerate(sizes):
-        found[:, k, :, amounts] = size
-    for k, shape in enumerate(shapes):
-        found[:, :, k, forms] = shape
-    return np.clip(found.reshape(-1, search.size), search.low, search.high)
+    shapes = product(FORMS if effect.hides else (0.0,), repeat=len(effect.forms))
+    found = [np.concatenate([bend, size, spots, shape]) for bend, size, shape in product(bends, sizes, shapes)]
+    return np.clip(found, search.low, search.high)
 
 
 def _told(forward: Forward, prefix: str) -> np.ndarray:
@@ -117,21 +114,16 @@ def _told(forward: Forward, prefix: str) -> np.ndarray:
 
 def refitted(
     forward: Forward,
-    data,
-    reference,
-    slopes,
-    likelihood: Likelihood,
-    rows,
+    asked: Asked,
     signature: Signature | None,
     config: DiagnosisConfig,
     sound: Sequence[tuple[Likelihood, np.ndarray]] = (),
     start: Start | None = None,
 ) -> Refit:
-    """Of ``signature``'s candidate, or of the sound twin alone (None), to the ``rows`` of ``data`` (B,) m, from ``start`` or, without one,
-    from where the fit ended.
+    """Of ``signature``'s candidate, or of the sound twin alone (None), to what is ``asked``, from ``start`` or, without one, from where the
+    fit ended.
 
-    likelihood  of these rows, without what parameters do, which are fitted
-    sound       what sound twins leave of these rows, each with the likelihood by the others
+    sound  what sound twins leave of the rows, each with the likelihood by the others
 
     All refits of a recording have the same budget of steps. Slopes are the shared ones at first, or such as are measured at its start,
     corrected after each step by what it missed (``slopes``), and measured again where a step gained less than a fifth of what they
@@ -141,23 +133,22 @@ def refitted(
     that they make (``amounts``). What would take more than ``config.dearest`` times the steps is not run. Runs end with the fitted frames,
     but one where the refit arrived; where that diverges, all frames are run all along, from where the fit ended.
     """
-    given = (data, reference, slopes, likelihood, rows, signature, config)
-    alone = forward.fitted_alone(reference)
-    found = _searched(alone, *given, sound, start)
+    alone = forward.fitted_alone(asked.reference)
+    found = _searched(alone, asked, signature, config, sound, start)
     if alone is forward:
         return found
     twins, more = (
         (forward, {}) if found.candidate is None else (forward.with_effects([found.candidate]), found.candidate.values(found.amounts))
     )
     whole = twins.rows([{**forward.values(found.shift), **more}])[0]
-    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, *given, sound, None)
+    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, asked, signature, config, sound, None)
 
 
-def _searched(forward, data, reference, slopes, likelihood, rows, signature, config, sound, start) -> Refit:
+def _searched(forward, asked, signature, config, sound, start) -> Refit:
     """As ``refitted``, all runs by ``forward``."""
-    search = Search.of(forward, data, reference, slopes, likelihood, rows, signature, config, start.scale if start else None)
+    search = Search.of(forward, asked, signature, config, start.scale if start else None)
     low, high, (unknowns, amounts, _, forms) = search.low.copy(), search.high.copy(), search.parts
-    at, jacobian, fresh = search.place(np.zeros(search.size), reference), search.slopes, False
+    at, jacobian, fresh = search.place(np.zeros(search.size), asked.reference), search.slopes, False
     held = np.zeros(search.size, bool)
     held[forms] = True
     if start is not None and start.numbers.any():
@@ -189,7 +180,7 @@ def _searched(forward, data, reference, slopes, likelihood, rows, signature, con
     evidence, inverse = search.evidence(at, jacobian)
     if search.scale is None:
         return Refit(None, at.numbers, np.zeros(0), np.zeros(0), at.prediction, evidence)
-    mistaken = [normal(one, left, jacobian[rows]) for one, left in sound]
+    mistaken = [normal(one, left, jacobian[asked.rows]) for one, left in sound]
     spread = np.sqrt(np.mean([np.linalg.solve(*equations) ** 2 for equations in mistaken], axis=0)) if mistaken else 0.0
     own, sd = (one[amounts] for one in (at.numbers, np.maximum(np.sqrt(np.diag(inverse)), spread)))
     sizes, sd = search.scale.amounts(own), sd * search.scale.slope(own)

@@ -15,10 +15,26 @@ from .forward import Forward
 from .likelihood import Likelihood
 from .scan import Signature
 
-__all__ = ["FARTHEST", "Place", "Search", "normal"]
+__all__ = ["FARTHEST", "Asked", "Place", "Search", "normal"]
 
 FARTHEST = 3.0  # prior standard deviations that a place or a shape may be astray
 DIFFERENCE = 0.05  # prior standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What all refits of recordings are to explain: the ``rows`` of ``data`` (B,) m, beside the ``reference`` (B,) m, the twin where its
+    fit ended, and its ``slopes`` (B, n) m. ``likelihood``: of these rows, without what parameters do, which are fitted."""
+
+    data: np.ndarray
+    reference: np.ndarray
+    slopes: np.ndarray
+    likelihood: Likelihood
+    rows: np.ndarray
+
+    def left(self, prediction) -> np.ndarray:
+        """(b,) m of the rows that a ``prediction`` (B,) m leaves."""
+        return (self.data - prediction)[self.rows]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +49,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What is asked of the ``rows`` of ``data`` (B,) m by twins that are run by ``forward``.
+    """How what is ``asked`` is looked for, by twins that are run by ``forward``.
 
     signature   of the effect, whose amounts are told on a ``scale``; neither of the sound twin alone
     twins       the same with the effect
@@ -45,9 +61,7 @@ class Search:
 
     forward: Forward
     twins: Forward
-    data: np.ndarray
-    likelihood: Likelihood
-    rows: np.ndarray
+    asked: Asked
     config: DiagnosisConfig
     signature: Signature | None
     scale: Scale | None
@@ -58,23 +72,13 @@ class Search:
     sized: Mapping[float, np.ndarray]
 
     @classmethod
-    def of(
-        cls,
-        forward: Forward,
-        data,
-        reference,
-        slopes,
-        likelihood: Likelihood,
-        rows,
-        signature: Signature | None,
-        config: DiagnosisConfig,
-        scale: Scale | None = None,
-    ) -> Search:
+    def of(cls, forward: Forward, asked: Asked, signature: Signature | None, config: DiagnosisConfig, scale: Scale | None = None) -> Search:
         """``scale``: as it was measured before, by runs of the effect in some sizes."""
-        (low, high), nothing = forward.bounds, np.zeros(slopes.shape[1])
+        (low, high), slopes = forward.bounds, asked.slopes
+        nothing = np.zeros(slopes.shape[1])
         most = config.dearest * forward.steps(forward.values(nothing))
         if signature is None:
-            return cls(forward, forward, data, likelihood, rows, config, None, None, low, high, slopes, most, {})
+            return cls(forward, forward, asked, config, None, None, low, high, slopes, most, {})
         tried = signature.candidate
         twins = forward.with_effects([tried])
 
@@ -82,16 +86,16 @@ class Search:
 
         def ran(sizes):
             values = [{**forward.values(nothing), **tried.values(a)} for a in sizes]
-            found = run_within(values, twins.rows, twins.steps, most, len(data))
+            found = run_within(values, twins.rows, twins.steps, most, len(asked.data))
             sized.update({float(a[0]): run for a, run in zip(sizes, found, strict=True)})
-            return found[:, rows]
+            return found[:, asked.rows]
 
-        scale = scale or Scale.of(signature, ran, reference[rows], config.motion)
+        scale = scale or Scale.of(signature, ran, asked.reference[asked.rows], config.motion)
         astray = np.full(len(tried.coordinates) + len(tried.effect.forms), FARTHEST)
         low, high = np.r_[low, scale.low, -astray], np.r_[high, scale.high, astray]
         own = signature.columns / signature.unit * scale.slope(np.zeros(len(signature.unit)))
         slopes = np.c_[slopes, own, np.zeros((len(slopes), len(astray)))]
-        return cls(forward, twins, data, likelihood, rows, config, signature, scale, low, high, slopes, most, sized)
+        return cls(forward, twins, asked, config, signature, scale, low, high, slopes, most, sized)
 
     @property
     def size(self) -> int:
@@ -119,13 +123,13 @@ class Search:
         if self.scale is not None:
             more = (self.candidate(row).values(self.scale.amounts(row[amounts])) for row in numbers)
             rows = [{**own, **one} for own, one in zip(rows, more, strict=True)]
-        return run_within(rows, self.twins.rows, self.twins.steps, self.most, len(self.data))
+        return run_within(rows, self.twins.rows, self.twins.steps, self.most, len(self.asked.data))
 
     def place(self, numbers, prediction) -> Place:
         """That ``numbers`` (N,) lead to, which were run."""
         if not np.isfinite(prediction).all():
             return Place(numbers, prediction, np.inf)
-        density = self.likelihood.log_density((self.data - prediction)[self.rows], guarded=True)
+        density = self.asked.likelihood.log_density(self.asked.left(prediction), guarded=True)
         return Place(numbers, prediction, float(numbers @ numbers) / 2 - density)
 
     def places(self, numbers: Iterable[np.ndarray]) -> list[Place]:
@@ -155,7 +159,7 @@ class Search:
     def step(self, at: Place, jacobian, low, high, which: slice = slice(None)) -> tuple[np.ndarray, float]:
         """((N,) Gauss and Newton's, of the numbers ``which``, what presses against a bound staying there; what it promises to gain)."""
         numbers, low, high = at.numbers[which], low[which], high[which]
-        curvature, fall = normal(self.likelihood, (self.data - at.prediction)[self.rows], jacobian[self.rows][:, which])
+        curvature, fall = self._normal(at, jacobian[:, which])
         downhill = fall - numbers
         free = ~((numbers <= low) & (downhill < 0) | (numbers >= high) & (downhill > 0))
         found, own = np.zeros(len(at.numbers)), np.zeros(len(free))
@@ -165,9 +169,12 @@ class Search:
 
     def evidence(self, at: Place, jacobian) -> tuple[float, np.ndarray]:
         """(by Laplace's approximation, (N, N) the inverse of the curvature)."""
-        curvature, _ = normal(self.likelihood, (self.data - at.prediction)[self.rows], jacobian[self.rows])
+        curvature, _ = self._normal(at, jacobian)
         inverse = np.linalg.inv(curvature)
         return float(-at.cost - np.linalg.slogdet(curvature)[1] / 2 + self._one_sided(at.numbers, np.sqrt(np.diag(inverse)))), inverse
+
+    def _normal(self, at: Place, ways):
+        return normal(self.asked.likelihood, self.asked.left(at.prediction), ways[self.asked.rows])
 
     def _one_sided(self, numbers, deviations) -> float:
         """Log of the share of the posterior that is on the side of a one-sided amount, over the half of the prior that is."""

@@ -123,9 +123,11 @@ class Simulator:
         body = self.scene.body.under(values)
         try:
             body = self._laden(body, values)
-            return body if body is self.scene.body or body.points else None  # where points are at rest is looked for here
+            if body is not self.scene.body:
+                _ = body.points  # where they are at rest is looked for here, once for a body
         except ValueError:  # it does not come to rest, or cells are turned over there
             return None
+        return body
 
     def _laden(self, body: Body, values) -> Body:
         pulls = {name: 0.0 for term in self.extra for name in term.loads if values[name]}

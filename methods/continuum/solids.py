@@ -162,9 +162,10 @@ class Solid(Body):
             carriers, weights = self.grid.locate(found)
             missed = places - np.einsum("mk,mki->mi", weights, self.positions[carriers])
             found += missed
-            if not np.abs(missed).max(initial=0.0) < ASTRAY:
+            most = np.abs(missed).max(initial=0.0)
+            if not most < ASTRAY:
                 raise ValueError("cells must not be turned over in frame 0: what is on them has no place in the rest shape")
-            if np.abs(missed).max(initial=0.0) < SAME:
+            if most < SAME:
                 break
         return found
 

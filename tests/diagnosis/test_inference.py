@@ -19,6 +19,7 @@ from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
 from twinbench.diagnosis.inference.phases import _chances, _in_order, _likely, _refuted
 from twinbench.diagnosis.inference.refit import begun, gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
+from twinbench.diagnosis.inference.search import Asked
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
 from twinbench.physics.parameters import Parameter
@@ -322,7 +323,7 @@ def test_a_refit_agrees_with_the_score_where_effects_are_small_and_corrects_it_w
     for push, off in ((0.5, 0.01), (15.0, 0.02)):
         data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=push)])[0]
         config = DiagnosisConfig(steps=6)
-        found = refitted(twins, data, world.reference, world.slopes, fitting, rows, one, config)
+        found = refitted(twins, Asked(data, world.reference, world.slopes, fitting, rows), one, config)
         linear = score(marginal, data - world.reference, one)
         assert found.amounts[0] == pytest.approx(push, rel=off, abs=3 * off * found.sd[0])
         if push < 1:
@@ -337,7 +338,7 @@ def test_the_evidence_of_a_refit_is_that_of_the_linear_effect_where_all_is_norma
     scatter, _, _ = world.evidence(world.reference)
     fitting, marginal = (replace(scatter.likelihood(PRIOR, parameters=p), degrees=1e8) for p in (False, True))
     data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=2.0)])[0]
-    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE))
+    given = (twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)))
     found, sound = (refitted(*given, what, DiagnosisConfig()) for what in (one, None))
     linear = score(marginal, data - world.reference, one)
     assert found.log_evidence - sound.log_evidence == pytest.approx(linear.log_evidence, abs=1e-3)
@@ -357,7 +358,7 @@ def test_intervals_of_amounts_cover():
         scatter, _, noisy = world.evidence(world.reference)
         data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=2.0)])[0] + world.sound(1)[0] - world.reference + world.noise()
         sound = list(zip(scatter.left_out(PRIOR, parameters=False), noisy, strict=True))
-        given = (twins, data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE), one)
+        given = (twins, Asked(data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE)), one)
         found = [refitted(*given, DiagnosisConfig(), *more) for more in ((), (sound,))]
         inside.append([abs(f.amounts[0] - 2.0) < w * f.sd[0] for f, w in zip(found, (1.645, wide), strict=True)])
     least = binom.ppf(0.01, 100, 0.9)
@@ -372,10 +373,12 @@ def test_a_refit_goes_no_farther_than_steps_are_affordable():
     scatter, _, _ = world.evidence(world.reference)
     data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=15.0)])[0]
     fitting = scatter.likelihood(PRIOR, parameters=False)
-    found = refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig(steps=6, dearest=4.0))
+    found = refitted(
+        twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig(steps=6, dearest=4.0)
+    )
     assert 0.5 < found.amounts[0] < 8.0 and np.isfinite(found.prediction).all()
     before = twins.cost.runs
-    refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig(runs=5))
+    refitted(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig(runs=5))
     assert (
         5 <= twins.cost.runs - before <= 5 + 10 + 7
     )  # amounts are scaled by ten runs, and a step that has begun is ended: three trials, four slopes
@@ -411,7 +414,7 @@ def test_a_refit_runs_through_what_is_not_fitted_once():
     data = Bent(world, one.columns[:, 0]).rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=5.0)])[0]
 
     def found(twins):
-        return refitted(twins, data, world.reference, world.slopes, fitting, rows, one, DiagnosisConfig(steps=6))
+        return refitted(twins, Asked(data, world.reference, world.slopes, fitting, rows), one, DiagnosisConfig(steps=6))
 
     usual, twins = found(Bent(world, one.columns[:, 0])), Stopped(world, one.columns[:, 0])
     own = found(twins)
@@ -453,7 +456,7 @@ def test_a_refit_finds_the_place_of_an_effect_beside_the_one_that_was_tried():
     truth = {f"spot_{axis}": c for axis, c in zip("xyz", Placed.true, strict=True)}
     data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0, push=25.0, **truth)])[0]
     fitting = scatter.likelihood(PRIOR, parameters=False)
-    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one)
+    given = (twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one)
     found, stuck = refitted(*given, DiagnosisConfig()), refitted(*given, DiagnosisConfig(astray=1e-6))
     assert np.linalg.norm(found.candidate.place - Placed.true) < 0.012 < np.linalg.norm(stuck.candidate.place - Placed.true)
     assert found.log_evidence > stuck.log_evidence + 3
@@ -488,7 +491,7 @@ def test_a_refit_begins_at_much_of_an_effect_that_a_little_of_says_nothing_about
     world.slopes = np.c_[5 * (one.columns[:, 0] + aside), world.slopes[:, 1:]]
     twins = MadeUpFor(world, one.columns[:, 0])
     data = twins.rows([dict(grip0_reach=-4.0, p1=0.0, p2=0.0, push=40.0)])[0]
-    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE))
+    given = (twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)))
 
     hiding = Candidate(replace(effect(low=0.0), hides="grip"), {})
     tried = Signature(hiding, -one.columns, np.full(1, 5.0), np.full(1, 20.0))  # 5 of it make 1 mm where the fit ended
@@ -522,7 +525,7 @@ def test_each_of_several_amounts_is_begun_both_ways():
     scatter, _, _ = world.evidence(world.reference)
     for name, sign in (("push", 1.0), ("pull", -1.0)):
         data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0) | {name: 25.0 * sign}])[0]
-        given = (twins, data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE), tried)
+        given = (twins, Asked(data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE)), tried)
         start = begun(*given, DiagnosisConfig())
         led, k = refitted(*given, DiagnosisConfig(), (), start), ("push", "pull").index(name)
         assert sign * start.numbers[3 + k] > 0 == start.numbers[4 - k]
@@ -555,7 +558,7 @@ def test_a_refit_finds_the_pace_of_an_effect_beside_the_one_that_was_tried():
         twins = Paced(world, one.columns[:, 0])
         twins.way = way
         data = twins.rows([still | dict(push=10.0, pace=pace)])[0]
-        return refitted(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig(**more))
+        return refitted(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig(**more))
 
     turned = world.catalogue[1].columns[:, 0]
     right, kept = found(turned, 2.5), found(turned, 2.5, reshaped=1.0)
@@ -576,8 +579,18 @@ def test_what_hides_is_begun_at_other_shapes_than_the_one_that_is_asked():
     scatter, _, _ = world.evidence(world.reference)
     fitting = scatter.likelihood(PRIOR, parameters=False)
     data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0, push=15.0, pace=4.0)])[0]
-    start = begun(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig())
+    start = begun(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig())
     assert start.numbers[-1] == 2.0 and start.numbers[3] > 0  # two deviations of a factor of two
+
+
+def test_a_fault_of_what_was_measured_is_not_begun():
+    world = World(9)
+    one = world.catalogue[0]
+    twins = Bent(world, one.columns[:, 0])
+    fault = Signature(Candidate(replace(effect(), seen=lambda scene, amounts: scene), {}), one.columns, np.ones(1), np.full(1, 20.0))
+    fitting = world.evidence(world.reference)[0].likelihood(PRIOR, parameters=False)
+    asked = Asked(world.reference, world.reference, world.slopes, fitting, np.arange(SIZE))
+    assert begun(twins, asked, fault, DiagnosisConfig()) is None and twins.cost.runs == 0
 
 
 def test_sizes_whose_motion_is_known_are_run_once():
@@ -588,10 +601,10 @@ def test_sizes_whose_motion_is_known_are_run_once():
     fitting = scatter.likelihood(PRIOR, parameters=False)
     data = twins.rows([dict(p0=0.3, p1=0.0, p2=0.0, push=12.0)])[0]
     before = twins.cost.runs
-    start = begun(twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one, DiagnosisConfig())
+    start = begun(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig())
     assert start.numbers[3] > 0 and twins.cost.runs - before == 10 + 2  # five sizes on each side, two that are led
     first = twins.cost.runs
-    given = (twins, data, world.reference, world.slopes, fitting, np.arange(SIZE), one)
+    given = (twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one)
     led = refitted(*given, DiagnosisConfig(runs=1), (), start)
     # what is measured at the start (one run of it, and four slopes) is not of the budget, of which the least is a step
     assert twins.cost.runs - first > 1 + 4 and led.log_evidence > start.log_evidence
