@@ -20,7 +20,9 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..diagnosis.asking import sound_twin
 from ..diagnosis.config import DiagnosisConfig
-from ..diagnosis.inference.phases import Answer, Evidence, gathered, weighed
+from ..diagnosis.inference.controls import COLUMNS
+from ..diagnosis.inference.evidence import Evidence, gathered
+from ..diagnosis.inference.phases import Answer, weighed
 from ..methods.continuum.twin import ContinuumTwin
 from .opening import open_scenario
 from .solid_oracle import simulated
@@ -69,8 +71,18 @@ def arrays(evidence: Evidence) -> dict[str, np.ndarray]:
     return found | {name: np.concatenate([getattr(s, name) for s in e.catalogue]) for name in ("unit", "spread")}
 
 
-def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | None = None, seed: int = 0, progress=None) -> dict:
-    """The answer on one case and its score. ``keep``: a folder for the twin, and for the arrays of its evidence."""
+def case_row(
+    folder: str,
+    case: str,
+    config: DiagnosisConfig,
+    *,
+    keep: str | None = None,
+    refits: bool | None = None,
+    seed: int = 0,
+    progress=None,
+) -> dict:
+    """The answer on one case and its score. ``keep``: a folder for the twin, and for the arrays of its evidence; ``refits`` as ``weighed``
+    has it."""
     root = Path(folder)
     begun = time.time(), time.process_time()
     recording = open_scenario(str(root / case / "fit"))
@@ -82,7 +94,7 @@ def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | Non
         kept.mkdir(parents=True, exist_ok=True)
         known: dict[str, Any] = arrays(evidence)
         np.savez_compressed(kept / "evidence.npz", **known)
-    answer = weighed(evidence, config, progress=progress)
+    answer = weighed(evidence, config, refits=refits, progress=progress)
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     took = dict(fit_cpu=spent, cpu=time.process_time() - begun[1], wall=time.time() - begun[0], runs=answer.runs, run_cpu=answer.seconds)
     kind = evidence.forward.simulators[0].scene.body.kind
@@ -95,9 +107,7 @@ def scored(answer: Answer, label: dict) -> dict:
     row = dict(
         effect=truth or "sound", verdict=answer.verdict, p=test.p, p_members=test.p_members, p_misfit=test.p_misfit, p_scan=test.p_scan
     )
-    row |= dict(zip(("over_misfit", "over_scan", "left_share"), test.standardised, strict=True)) | dict(
-        misfit=test.misfit, largest=test.largest
-    )
+    row |= {COLUMNS[name]: value for name, value in test.standardised.items()} | dict(misfit=test.misfit, largest=test.largest)
     row |= dict(prior=json.dumps(asdict(answer.prior)), budget=json.dumps([asdict(b) for b in answer.budget]))
     if answer.named:
         first = answer.named[0]
@@ -141,13 +151,21 @@ def main(arguments=None) -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--members", type=int, default=DiagnosisConfig.members)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--refits", action="store_true", help="always refit the best effects, as for controls of a kind that has none yet")
     parser.add_argument("--keep", help="folder in which fitted twins are kept, and looked for; with the arrays of their evidence")
     parser.add_argument("--out", help="CSV of all rows; cases that are in it are not diagnosed again")
     given = parser.parse_args(arguments)
     config = DiagnosisConfig(members=given.members)
     work = {
         (folder.name, case): partial(
-            case_row, str(folder), case, config, keep=given.keep, seed=given.seed, progress=partial(_printed, case)
+            case_row,
+            str(folder),
+            case,
+            config,
+            keep=given.keep,
+            refits=given.refits or None,
+            seed=given.seed,
+            progress=partial(_printed, case),
         )
         for folder, case in cases_of([given.set], given.cases)
     }

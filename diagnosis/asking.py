@@ -21,8 +21,9 @@ from .experiment import plannable, planned
 from .holding import believed, explains, held
 from .inference.blocks import is_marked
 from .inference.contrast import comparable, until
+from .inference.evidence import Evidence, gathered
 from .inference.peers import FEWEST, compared, there
-from .inference.phases import Answer, Evidence, Named, gathered, tested, weighed
+from .inference.phases import Answer, Named, tested, weighed
 from .inference.planning import Plan
 from .inference.settling import left, settled
 from .outcome import Outcome, verdict_of
@@ -115,9 +116,9 @@ def asked(
     twin = there(fitted, recordings[0]) if apart else fitted
     evidence = asking.evidence(recordings, twin)
     found, hold = tested(evidence, config), None
-    if found.alarms(config) and found.test.standardised[2] > np.log(LOST) and len(recordings) == 1 and not against:
+    if found.alarms(config) and found.test.standardised["left"] > np.log(LOST) and len(recordings) == 1 and not against:
         hold = held(recordings[0], evidence, found.prior, asking.again, asking.look, config, progress=progress)
-    answer = weighed(evidence, config, found, refits=not (hold and explains(hold, found.test, config)), progress=progress)
+    answer = weighed(evidence, config, found, refits=False if hold and explains(hold, found.test, config) else None, progress=progress)
     if hold and answer.verdict == "unknown":
         answer = believed(hold, answer, evidence, config)
         if answer.verdict == "named":

@@ -8,7 +8,8 @@ import numpy as np
 
 from .config import DiagnosisConfig
 from .effects import effects
-from .inference.phases import Answer, Evidence, Named
+from .inference.evidence import Evidence
+from .inference.phases import Answer, Named
 from .inference.planning import Plan, Reading, plan
 from .page.words import effect_name
 

@@ -26,7 +26,8 @@ from .effects.grips import HOLD
 from .inference.blocks import Blocks
 from .inference.budget import budget
 from .inference.covariance import Prior
-from .inference.phases import Answer, Evidence, Named, shortcoming, tested
+from .inference.evidence import Evidence
+from .inference.phases import Answer, Named, shortcoming, tested
 from .inference.refit import Gain, Refit, gained
 from .inference.significance import Significance
 

@@ -15,7 +15,8 @@ from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .effects import effects
 from .experiment import proposed
-from .inference.phases import Answer, Evidence, Named, shortcoming
+from .inference.evidence import Evidence
+from .inference.phases import Answer, Named, shortcoming
 from .inference.planning import Plan
 from .inference.wander import Wander
 from .keeping import write_tracks, write_twins
@@ -215,7 +216,7 @@ def _test(answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> dict:
     t = answer.test
     said = {name: getattr(t, name) for name in ("p", "p_members", "p_misfit", "p_scan", "p_held_out")}
     counts = dict(level=config.level, members=len(evidence.noisy), controls=len(t.controls.standardised) if t.controls else 0)
-    return said | counts | dict(misfit=t.misfit, standardised=list(t.standardised))
+    return said | counts | dict(misfit=t.misfit, standardised=dict(t.standardised))
 
 
 def _where(first: Named | None, structure) -> dict | None:

@@ -1,11 +1,12 @@
 """Frozen sound recordings, among whose statistics those of a recording are judged.
 
 Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, and sound
-recordings hold errors that no member has. So each statistic, as a logarithm over its members', and for some kinds what a twin leaves of
-the motion, is compared with those of n recordings known to be sound, of the same kind of body and weighed with the same config and the
-same usual errors of recordings. They are taken as draws of a Student t whose place, scale and degrees of freedom are the likeliest
-(``tails``): a sound recording that lies far out then makes the tail heavier and leaves the rest alone, and p goes on where ranks among n
-end at 1 / (1 + n). What the most surprising of them costs hangs on how much they go together, which these recordings tell as well.
+recordings hold errors that no member has. So each statistic, as a logarithm over its members', for some kinds what a twin leaves of the
+motion, and for some how much likelier the best of the refitted effects is than none, of those at a place and of the others, is compared
+with those of n recordings known to be sound, of the same kind of body and weighed with the same config and the same usual errors of
+recordings. They are taken as draws of a Student t whose place, scale and degrees of freedom are the likeliest (``tails``): a sound
+recording that lies far out then makes the tail heavier and leaves the rest alone, and p goes on where ranks among n end at 1 / (1 + n).
+What the most surprising of them costs hangs on how much they go together, which these recordings tell as well.
 
 ``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``; kinds of body of
 which there are none stay as they were frozen.
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache, cached_property
 from pathlib import Path
@@ -30,31 +31,20 @@ from .tails import Tail, any_beyond, going_together
 __all__ = ["FILE", "Controls", "frozen", "main"]
 
 FILE = Path(__file__).parent / "controls.json"
+REFITS = {"refit": "over_refit", "placed": "over_placed"}  # columns of tables by statistic: of refits
+COLUMNS = {"misfit": "over_misfit", "scan": "over_scan", "left": "left_share", **REFITS}  # of all
 MARKED = "marked "  # goes before a kind of body of which markers are seen
-DECIDING = (
-    "level",
-    "wandering",
-    "motion",
-    "repeat",
-    "refitted",
-    "astray",
-    "reshaped",
-    "steps",
-    "runs",
-    "parallel",
-    "clearly",
-    "roaming",
-    "planned",
-    "members",
-)  # fields that change no statistic of a recording
+REFITTING = ("motion", "refitted", "astray", "reshaped", "steps", "runs")  # fields that change what refits say alone
+DECIDING = ("level", "wandering", "repeat", "parallel", "clearly", "roaming", "planned", "members")  # that change no statistic
 
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """standardised (n, 2 or 3): of n sound recordings the misfit and the largest score, as logarithms over their members', and for kinds of
-    which it is known what is left of the motion (``significance``)."""
+    """standardised (n, k): the statistics ``names`` (k,) of n sound recordings (``significance.Significance.standardised``), NaN where one
+    was not weighed by it."""
 
     standardised: np.ndarray
+    names: tuple[str, ...]
 
     @classmethod
     def of(cls, kind: str, config: DiagnosisConfig, *, marked: bool = False, recordings: int = 1) -> Controls | None:
@@ -64,11 +54,21 @@ class Controls:
         known = _known()
         if config.members < known["config"]["members"] or known["config"] != _shaping(config) | {"members": known["config"]["members"]}:
             return None
+        refits = known["refitting"] == _refitting(config)
         for count in range(recordings, 0, -1):
-            own = known["kinds"].get(_group(MARKED + kind if marked else kind, count), [])
-            if 1 / (1 + len(own)) < config.level:
-                return cls(np.array([row["standardised"] for row in own], float))
+            every = cls._read(known["kinds"].get(_group(MARKED + kind if marked else kind, count), []))
+            enough = 1 / (1 + np.isfinite(every.standardised).sum(0)) < config.level
+            kept = [k for k, name in enumerate(every.names) if enough[k] and (refits or name not in REFITS)]
+            if kept:
+                return cls(every.standardised[:, kept], tuple(every.names[k] for k in kept))
         return None
+
+    @classmethod
+    def _read(cls, rows: Sequence[dict]) -> Controls:
+        names = tuple(name for name in COLUMNS if any(name in row["statistics"] for row in rows))
+        return cls(
+            np.array([[row["statistics"].get(name, np.nan) for name in names] for row in rows]).reshape(len(rows), len(names)), names
+        )
 
     @staticmethod
     def known(kind: str, *, marked: bool = False) -> bool:
@@ -78,34 +78,47 @@ class Controls:
     @classmethod
     def all(cls) -> dict[str, Controls]:
         """All that are frozen, by kind of body and number of recordings."""
-        return {group: cls(np.array([row["standardised"] for row in rows], float)) for group, rows in _known()["kinds"].items()}
+        return {group: cls._read(rows) for group, rows in _known()["kinds"].items()}
 
     def left_out(self) -> np.ndarray:
-        """(n,) p of each of them, judged by the others."""
-        return np.array([Controls(np.delete(self.standardised, k, 0)).p(one) for k, one in enumerate(self.standardised)])
+        """(n,) p of each of them by what it was weighed by, judged by the others."""
+        found = []
+        for k, row in enumerate(self.standardised):
+            own = {name: value for name, value in zip(self.names, row, strict=True) if np.isfinite(value)}
+            found.append(Controls(np.delete(self.standardised, k, 0), self.names).p(own))
+        return np.array(found)
+
+    @property
+    def refits(self) -> bool:
+        """Whether it is known what refits gain of sound recordings."""
+        return not REFITS.keys().isdisjoint(self.names)
 
     @cached_property
-    def tails(self) -> tuple[Tail, ...]:
-        return tuple(Tail.of(values) for values in self.standardised.T)
+    def tails(self) -> dict[str, Tail]:
+        return {name: Tail.of(own[np.isfinite(own)]) for name, own in zip(self.names, self.standardised.T, strict=True)}
 
     @cached_property
     def together(self) -> np.ndarray:
-        """(2 or 3, 2 or 3) correlation of the statistics, as they are rare: a block's misfit and largest score go together."""
-        return going_together(self.standardised, self.tails)
+        """(k, k) correlation of the statistics, as they are rare: a block's misfit and largest score go together."""
+        whole = np.isfinite(self.standardised).all(1)
+        return going_together(self.standardised[whole], list(self.tails.values()))
 
-    def p(self, standardised) -> float:
-        """Of a recording's statistics: of the most surprising one, that any is."""
-        return any_beyond(min(tail.beyond(value) for tail, value in zip(self.tails, standardised, strict=False)), self.together)
+    def p(self, standardised: Mapping[str, float]) -> float:
+        """Of those statistics of a recording that are known of sound ones: of the most surprising one, that any is."""
+        given = [k for k, name in enumerate(self.names) if name in standardised]
+        rarest = min(float(self.tails[self.names[k]].beyond(standardised[self.names[k]])) for k in given)
+        return any_beyond(rarest, self.together[np.ix_(given, given)])
 
     def least(self, misfit: float, share: float) -> float:
         """The smaller p of a misfit, as a logarithm over its members', and of a ``share`` of the motion, where that is known."""
-        return float(min(self.tails[0].beyond(misfit), *(tail.beyond(share) for tail in self.tails[2:]), 1.0))
+        given = {"misfit": misfit, "left": share}
+        return float(min([1.0, *(tail.beyond(given[name]) for name, tail in self.tails.items() if name in given)]))
 
     def alarming(self, level: float) -> float:
         """The largest score, as a logarithm over members', above which p is below ``level`` whatever the misfit."""
         from scipy.optimize import brentq
 
-        return self.tails[1].at(float(brentq(lambda p: any_beyond(p, self.together) - level, level / (2 * len(self.tails)), level)))
+        return self.tails["scan"].at(float(brentq(lambda p: any_beyond(p, self.together) - level, level / (2 * len(self.tails)), level)))
 
 
 def _group(kind: str, recordings: int) -> str:
@@ -114,14 +127,19 @@ def _group(kind: str, recordings: int) -> str:
 
 @cache
 def _known() -> dict:
-    return json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else {"config": _shaping(DiagnosisConfig()), "kinds": {}}
+    return json.loads(FILE.read_text(encoding="utf-8")) if FILE.exists() else frozen([], DiagnosisConfig())
 
 
 def _shaping(config: DiagnosisConfig) -> dict:
     """What statistics depend on, as JSON has it; ``members`` is asked for on its own."""
-    found = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(config).items() if name not in DECIDING}
+    others = (*REFITTING, *DECIDING)
+    found = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(config).items() if name not in others}
     usual = {amount.name: amount.usual for effect in effects() for amount in effect.amounts if amount.usual}
     return found | {"members": config.members, "usual": usual}
+
+
+def _refitting(config: DiagnosisConfig) -> dict:
+    return {name: getattr(config, name) for name in REFITTING}
 
 
 def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
@@ -131,23 +149,25 @@ def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
     kinds: dict[str, list[dict]] = {}
     for path in tables:
         table = pd.read_csv(path)
-        more = {name for kind in set(table.get("kind", ())) for name in _more(kind)}
-        missing = {"set", "case", "kind", "effect", "over_misfit", "over_scan", *more} - set(table)
+        needed = {COLUMNS[name] for kind in set(table.get("kind", ())) for name in _needed(kind)}
+        missing = {"set", "case", "kind", "effect", "over_misfit", "over_scan", *needed} - set(table)
         if missing:
             raise ValueError(f"{path}: a table of controls must have the columns {', '.join(sorted(missing))}")
         sound = table[table.effect == "sound"]
         if sound.empty:
             raise ValueError(f"{path}: a table of controls must have sound rows, got none in {len(table)}")
         for row in sound.itertuples():
-            values = [round(float(getattr(row, name)), 4) for name in ("over_misfit", "over_scan", *_more(row.kind))]
+            told = {name: float(getattr(row, COLUMNS[name], np.nan)) for name in (*_needed(str(row.kind)), *REFITS)}
+            values = {name: round(value, 4) for name, value in told.items() if np.isfinite(value)}
             group = _group(str(row.kind), int(getattr(row, "recordings", 1)))
-            kinds.setdefault(group, []).append({"set": row.set, "case": row.case, "standardised": values})
-    return {"config": _shaping(config), "kinds": {kind: sorted(rows, key=lambda r: (r["set"], r["case"])) for kind, rows in kinds.items()}}
+            kinds.setdefault(group, []).append({"set": row.set, "case": row.case, "statistics": values})
+    ordered = {kind: sorted(rows, key=lambda r: (r["set"], r["case"])) for kind, rows in kinds.items()}
+    return {"config": _shaping(config), "refitting": _refitting(config), "kinds": ordered}
 
 
-def _more(kind: str) -> tuple[str, ...]:
-    """Further statistics of a kind: what is left of the motion where it is a twin's, and not the tracks', as that of markers is."""
-    return ("left_share",) if kind.startswith(MARKED) else ()
+def _needed(kind: str) -> tuple[str, ...]:
+    """Statistics that all have of a kind: what is left of the motion where it is a twin's, and not the tracks', as that of markers is."""
+    return ("misfit", "scan", "left") if kind.startswith(MARKED) else ("misfit", "scan")
 
 
 def main(arguments=None) -> None:
@@ -160,8 +180,9 @@ def main(arguments=None) -> None:
     if given.out.exists():
         before = json.loads(given.out.read_text(encoding="utf-8"))
         kept = set(before["kinds"]) - set(found["kinds"])
-        if kept and before["config"] != found["config"]:
-            differ = sorted(k for k in {*before["config"], *found["config"]} if before["config"].get(k) != found["config"].get(k))
+        then, now = ({**one["config"], **one["refitting"]} for one in (before, found))
+        differ = sorted(k for k in {*then, *now} if then.get(k) != now.get(k))
+        if kept and differ:
             raise ValueError(
                 f"{given.out}: {', '.join(sorted(kept))} were weighed with other {', '.join(differ)}; weigh them anew, or give --out"
             )

@@ -22,8 +22,8 @@ from ..config import DiagnosisConfig
 from .absorption import absorb
 from .contrast import as_long
 from .covariance import Scatter
+from .evidence import Evidence
 from .forward import Forward
-from .phases import Evidence
 from .scan import signatures
 
 __all__ = ["FEWEST", "compared", "there"]

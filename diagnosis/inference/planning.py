@@ -25,10 +25,10 @@ from ..effects import Candidate
 from ..motions import TELLING, VISIBLE, Motion, Setting, motions, outcome_words
 from .blocks import Blocks
 from .covariance import Layout, Prior, Scatter
+from .evidence import Evidence
 from .forward import Forward
 from .likelihood import Likelihood
 from .members import Member, scene_of, shared
-from .phases import Evidence
 
 __all__ = ["Look", "Plan", "Reading", "plan"]
 

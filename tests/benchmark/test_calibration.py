@@ -18,9 +18,11 @@ def test_each_control_is_judged_by_the_others():
     # the one that lies far out makes the tail of all others heavier, and its own p tells that no other is like it
     values = np.random.default_rng(0).normal(size=(40, 2))
     values[7] = 9.0
-    found = Controls(values).left_out()
-    assert found[7] == min(found) == pytest.approx(Controls(np.delete(values, 7, 0)).p(values[7]))
-    assert found[7] < 1e-4 < Controls(values).p(values[7])
+    names = ("misfit", "scan")
+    far = dict(zip(names, values[7], strict=True))
+    found = Controls(values, names).left_out()
+    assert found[7] == min(found) == pytest.approx(Controls(np.delete(values, 7, 0), names).p(far))
+    assert found[7] < 1e-4 < Controls(values, names).p(far)
 
 
 def test_the_frozen_ones_keep_the_level():

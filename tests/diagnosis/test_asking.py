@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from blocks import FRAMES, lifted, recorded
+from blocks import block
 from twinbench.benchmark.challenge.schema import Answer
 from twinbench.datasets.scenario import Plane, Split
 from twinbench.diagnosis import asking
@@ -20,23 +20,10 @@ from twinbench.diagnosis.outcome import _why_open, chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
 from twinbench.diagnosis.suitable import has_continuum, suitable
 from twinbench.methods.continuum import Continuum
-from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
-from twinbench.methods.continuum.scene import Scene
-from twinbench.methods.continuum.simulate import Simulator
-from twinbench.methods.continuum.solids import Solid
 from twinbench.physics.terms import Wind
 
-TRUE = dict(youngs_modulus=8e3, damping_time=0.01, poisson=0.3, drag_damping=0.3)
 CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=8, cells=1.0, refitted=2)
-
-
-def block(name="block", noise=1e-3, seed=0, extra=(), **more):
-    """A recording of a small block that is lifted, of what the twin is made of and ``extra`` terms."""
-    told = lifted()
-    scene = Scene.of(told, Solid.told(told, body_of(told, kind="solid", pitch=0.02)))
-    path = Simulator(scene, tuple(extra)).run([TRUE | more], FRAMES)[0][:, : scene.counts[0]]
-    return recorded(path + np.random.default_rng(seed).normal(0, noise, path.shape), name=name, split=Split(12, FRAMES))
 
 
 def test_what_does_not_suit_is_refused_by_name():

@@ -11,12 +11,14 @@ from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.inference import controls
 from twinbench.diagnosis.inference.controls import Controls, frozen, main
 
+BOTH = ("misfit", "scan")
+
 
 @pytest.mark.long
 def test_p_values_of_two_unlike_statistics_are_uniform():
     random = np.random.default_rng(6)
     draws = np.stack([random.normal(3.0, 0.2, (600, 61)), random.standard_t(3, (600, 61))], 2)
-    p = np.array([Controls(d[1:]).p(d[0]) for d in draws])
+    p = np.array([Controls(d[1:], BOTH).p(dict(zip(BOTH, d[0], strict=True))) for d in draws])
     assert kstest(p, "uniform").statistic < 1.63 / np.sqrt(600) + 1 / 61  # Kolmogorov's 1 %, and what 60 controls leave of place and scale
     assert np.mean(p < 0.03) == pytest.approx(0.03, abs=4 * np.sqrt(0.03 / 600))
 
@@ -26,7 +28,10 @@ def test_p_values_of_two_statistics_that_go_together_are_uniform():
     # 0.09 is left for any number of recordings, beyond Kolmogorov's 1 %
     random = np.random.default_rng(7)
     draws = random.multivariate_normal([0.0, 0.0], [[1.0, 0.6], [0.6, 1.0]], size=(600, 61))
-    found = [(own.p(d[0]), [tail.beyond(v) for tail, v in zip(own.tails, d[0], strict=True)]) for d in draws for own in [Controls(d[1:])]]
+    found = []
+    for d in draws:
+        own, one = Controls(d[1:], BOTH), dict(zip(BOTH, d[0], strict=True))
+        found.append((own.p(one), [own.tails[name].beyond(value) for name, value in one.items()]))
     p, apart = np.array([one for one, _ in found]), np.array([1 - (1 - min(both)) ** 2 for _, both in found])
     allowed = 1.63 / np.sqrt(600) + 1 / 61
     assert kstest(p, "uniform").statistic < allowed < kstest(apart, "uniform").statistic
@@ -35,9 +40,9 @@ def test_p_values_of_two_statistics_that_go_together_are_uniform():
 
 @pytest.mark.parametrize("count", [33, 40, 66, 99, 100])
 def test_the_alarming_score_is_where_p_crosses_the_level(count):
-    own = Controls(np.random.default_rng(count).normal(size=(count, 2)))
-    score = own.alarming(0.03)
-    assert own.p((own.standardised[:, 0].min(), score + 1e-9)) < 0.03 <= own.p((own.standardised[:, 0].min(), score - 1e-9))
+    own = Controls(np.random.default_rng(count).normal(size=(count, 2)), BOTH)
+    score, least = own.alarming(0.03), own.standardised[:, 0].min()
+    assert own.p({"misfit": least, "scan": score + 1e-9}) < 0.03 <= own.p({"misfit": least, "scan": score - 1e-9})
 
 
 def table(tmp_path, count, **more):
@@ -96,19 +101,47 @@ def test_what_a_twin_leaves_of_the_motion_counts_where_it_was_frozen(tmp_path):
     # though its members, spread as wildly, take it for one of them
     random = np.random.default_rng(3)
     three = np.c_[random.normal(size=(40, 2)), random.normal(-2.7, 0.4, 40)]
-    known = Controls(three)
-    assert len(known.tails) == 3 and known.p((0.0, 0.0, 0.0)) < 1e-3 < 0.2 < known.p((0.0, 0.0, -2.7))
+    nothing = dict.fromkeys(BOTH, 0.0)
+    known = Controls(three, (*BOTH, "left"))
+    assert len(known.tails) == 3 and known.p(nothing | {"left": 0.0}) < 1e-3 < 0.2 < known.p(nothing | {"left": -2.7})
     assert known.least(0.0, -2.5) > 0.03 > known.least(0.0, -1.0)  # and a name must leave as little
     assert known.least(0.0, -2.7) == pytest.approx(0.5, abs=0.1) and known.least(5.0, -2.7) < 1e-3  # of motion, and of misfit
-    assert Controls(three[:, :2]).least(0.0, 9.0) > 0.3
-    assert Controls(three[:, :2]).p((0.0, 0.0, 0.0)) > 0.2  # of kinds without it the third is not looked at
+    assert Controls(three[:, :2], BOTH).least(0.0, 9.0) > 0.3
+    assert Controls(three[:, :2], BOTH).p(nothing | {"left": 0.0}) > 0.2  # of kinds without it the third is not looked at
     marked = pd.read_csv(table(tmp_path, 40, kind="marked rope"))
     marked.to_csv(tmp_path / "short.csv", index=False)
     with pytest.raises(ValueError, match="left_share"):
         frozen([tmp_path / "short.csv"], DiagnosisConfig())
     marked.assign(left_share=-2.5).to_csv(tmp_path / "whole.csv", index=False)
     rows = frozen([tmp_path / "whole.csv"], DiagnosisConfig())["kinds"]["marked rope"]
-    assert len(rows) == 40 and all(row["standardised"][2] == -2.5 for row in rows)
+    assert len(rows) == 40 and all(row["statistics"]["left"] == -2.5 for row in rows)
+
+
+def test_what_refits_gain_counts_once_it_is_known_of_enough_sound_recordings(tmp_path, monkeypatch):
+    # refits of sound recordings are 2 nats less likely than none, give or take 1, where they were made, which is of 35 of 40 here
+    rows = pd.read_csv(table(tmp_path, 40))
+    nats = np.random.default_rng(4).normal(-2.0, 1.0, 41)
+    rows["over_refit"] = np.where(np.arange(41) % 8 == 7, np.nan, np.arcsinh(nats))
+    rows.to_csv(tmp_path / "refits.csv", index=False)
+    known = frozen([tmp_path / "refits.csv"], DiagnosisConfig(members=12))
+    monkeypatch.setattr(controls, "_known", lambda: known)
+    config = DiagnosisConfig(members=12)
+    own = Controls.of("rope", config)
+    assert own.refits and own.names == (*BOTH, "refit") and own.standardised.shape == (40, 3)
+    usual = {name: float(np.median(own.standardised[:, k])) for k, name in enumerate(BOTH)}
+    before, likely, unlikely = (own.p(usual | more) for more in ({}, {"refit": np.arcsinh(25.0)}, {"refit": np.arcsinh(-2.0)}))
+    assert likely < 1e-3 < 0.03 < 0.3 < before and unlikely > 0.3
+    # one more that might have surprised has its price, and none where it was not looked at
+    rare = usual | {"misfit": own.tails["misfit"].at(0.02)}
+    assert own.p(rare) == pytest.approx(1 - 0.98**2, rel=0.2) and own.p(rare) < own.p(rare | {"refit": -2.0}) < 1 - 0.97**3
+    # weighed with other refits, these say nothing; and what is left says what it said
+    assert not Controls.of("rope", replace(config, steps=9)).refits
+    assert own.left_out().min() > 0 and len(own.left_out()) == 40
+    rows["over_refit"] = np.where(np.arange(41) < 20, rows.over_refit, np.nan)  # of 20 none can be beyond 3 %
+    rows.to_csv(tmp_path / "few.csv", index=False)
+    few = frozen([tmp_path / "few.csv"], config)
+    monkeypatch.setattr(controls, "_known", lambda: few)
+    assert Controls.of("rope", config).names == BOTH
 
 
 def test_a_table_that_tells_nothing_is_refused(tmp_path):

@@ -16,12 +16,13 @@ from twinbench.diagnosis.inference.budget import budget, detectable
 from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.covariance import Layout, Prior, Scatter, chosen
 from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
-from twinbench.diagnosis.inference.phases import _chances, _in_order, _likely, _refuted
+from twinbench.diagnosis.inference.phases import _refuted
 from twinbench.diagnosis.inference.refit import begun, gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
 from twinbench.diagnosis.inference.search import Asked
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
+from twinbench.diagnosis.inference.trials import _chances, _in_order, _likely
 from twinbench.physics.parameters import Parameter
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
@@ -782,5 +783,5 @@ def test_a_name_must_leave_as_little_as_sound_twins_do():
         as_wide = 10 * share * members  # among which nothing stands out
         wide = Scatter(as_wide, noise, none, none, layout())
         these = 0.01 * share * draws / np.sqrt(np.mean(draws**2, axis=1, keepdims=True))
-        p = [left(wide, as_wide, these, Controls(three[:, :n])) for n in (3, 2)]
+        p = [left(wide, as_wide, these, Controls(three[:, :n], ("misfit", "scan", "left")[:n])) for n in (3, 2)]
         assert (np.median(p[0]) > 0.03) == enough and np.median(p[1]) > 0.03

@@ -11,9 +11,9 @@ from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.experiment import _worse, plannable, planned, proposed, readings_of
 from twinbench.diagnosis.inference import planning
 from twinbench.diagnosis.inference.covariance import Prior, Scatter
+from twinbench.diagnosis.inference.evidence import Evidence
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import drawn
-from twinbench.diagnosis.inference.phases import Evidence
 from twinbench.diagnosis.inference.planning import Reading, plan
 from twinbench.diagnosis.motions import TELLING
 from twinbench.diagnosis.page.words import effect_name

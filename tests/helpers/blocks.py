@@ -5,6 +5,7 @@ from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed, Plane, Scenario, Split
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.scene import Scene
+from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.solids import Solid
 from twinbench.methods.continuum.twin import ContinuumTwin
 
@@ -47,6 +48,14 @@ def recorded(points, **changes):
     known = {name: getattr(observed, name) for name in ("name", "controllers", "surface", "interior", "fps", "gravity", "ground", "grips")}
     seen = np.ones(points.shape[:2], bool)
     return Scenario(points=points, visible=seen, motion_valid=seen, **({"split": Split(FRAMES - 5, FRAMES)} | known | changes))
+
+
+def block(name="block", noise=1e-3, seed=0, extra=(), **more) -> Scenario:
+    """A recording of the block, of coarse cells and ``extra`` terms with ``more`` values, and of ``noise`` m; its last two frames are held
+    out."""
+    scene = sound_twin(0.02).scene
+    path = Simulator(scene, tuple(extra)).run([TRUE | more], FRAMES)[0][:, : scene.counts[0]]
+    return recorded(path + np.random.default_rng(seed).normal(0, noise, path.shape), name=name, split=Split(12, FRAMES))
 
 
 def sound_twin(pitch: float) -> ContinuumTwin:

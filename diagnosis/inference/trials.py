@@ -1,0 +1,176 @@
+"""The effects that explain recordings best, tried in full: which are refitted, from where, and what that says of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..config import DiagnosisConfig
+from .covariance import Prior
+from .evidence import Evidence
+from .forward import Forward
+from .refit import Refit, Start, begun, refitted
+from .scan import Score, Signature
+from .search import Asked
+from .significance import Significance
+
+__all__ = ["Trials"]
+
+WORSE = 15.0  # nats by which the linear evidence of a second place may be less
+MOST = 2  # times ``config.refitted`` candidates that are refitted while one that was not is the likeliest
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Candidates of the catalogue of ``evidence``, which a ``test`` scored, to be refitted to what is ``asked``, by their indices.
+
+    prior   of the covariance
+    sound   the twin without an effect, refitted alike
+    starts  where refits of some begin
+    made    refits
+    """
+
+    evidence: Evidence
+    prior: Prior
+    test: Significance
+    config: DiagnosisConfig
+    asked: Asked
+    sound: Refit
+    starts: Mapping[int, Start | None]
+    made: Mapping[int, Refit]
+
+    @classmethod
+    def of(cls, evidence: Evidence, prior: Prior, test: Significance, config: DiagnosisConfig) -> Trials:
+        """None but that of the sound twin."""
+        e, rows = evidence, np.flatnonzero(evidence.scatter.layout.fitted)
+        likelihood = e.scatter.only(rows).likelihood(prior, parameters=False)
+        asked = Asked(e.forward.data, e.reference, e.slopes, likelihood, rows)
+        return cls(e, prior, test, config, asked, refitted(e.forward, asked, None, config), {}, {})
+
+    def with_first(self) -> Trials:
+        """Much of each effect is tried, and the ``config.refitted`` best are refitted, each where a little of it is likeliest."""
+        firsts = [own[0] for own in self.likely.values()]
+        starts = dict(zip(firsts, self.evidence.forward.each(self._begin, firsts), strict=True))
+        led = {self._name(k): one.log_evidence - self.sound.log_evidence for k, one in starts.items() if one}
+        best = _in_order(self.test.scores, led)[: self.config.refitted]
+        return replace(self, starts=starts)._with([self.likely[name][0] for name in best])
+
+    def with_all(self) -> Trials:
+        """Those also where they are likely elsewhere; and where refits were worse than their linear evidence, so that the likeliest effect
+        may be one that was not refitted, that one."""
+        found = self._with([k for name in self.best for k in self.likely[name]])
+        while found.chances and (name := next(iter(found.chances))) not in found.best and len(found.best) < MOST * self.config.refitted:
+            found = found._with(self.likely[name])
+        return found
+
+    @cached_property
+    def likely(self) -> dict[str, list[int]]:
+        """By effect its candidates that may be refitted, the likeliest first; see ``_likely``."""
+        return _likely(self.test, self.evidence.catalogue, self.config)
+
+    @property
+    def best(self) -> dict[str, int]:
+        """By effect which refit is the best."""
+        found: dict[str, int] = {}
+        for k, one in self.made.items():
+            name = self._name(k)
+            if name not in found or one.log_evidence > self.made[found[name]].log_evidence:
+                found[name] = k
+        return found
+
+    @property
+    def nats(self) -> dict[str, float]:
+        """By which the best is likelier than the sound twin, of effects at a place (``placed``) and of others (``refit``); one that was not
+        refitted counts where its refit would begin."""
+        found: dict[str, float] = {}
+        for k, one in {**self.starts, **self.made}.items():
+            kind = "placed" if self.evidence.catalogue[k].candidate.effect.place else "refit"
+            if one:
+                found[kind] = max(found.get(kind, -np.inf), one.log_evidence - self.sound.log_evidence)
+        return found
+
+    @property
+    def chances(self) -> dict[str, float]:
+        """By effect, the likeliest first: see ``_chances``."""
+        gains = {k: self.made[k].log_evidence - self.sound.log_evidence for k in self.best.values()}
+        return _chances(self.test, self.evidence.catalogue, gains)
+
+    def _name(self, k: int) -> str:
+        return self.evidence.catalogue[k].name
+
+    @cached_property
+    def _members(self) -> list:
+        """What sound twins leave of the rows, each with the likelihood by the others."""
+        rows = self.asked.rows
+        left_out = self.evidence.scatter.only(rows).left_out(self.prior, parameters=False)
+        return list(zip(left_out, self.evidence.noisy[:, rows], strict=True))
+
+    def _begin(self, k: int, forward: Forward) -> Start | None:
+        return begun(forward, self.asked, self.evidence.catalogue[k], self.config)
+
+    def _refit(self, k: int, forward: Forward) -> Refit:
+        start = self.starts[k] if k in self.starts else self._begin(k, forward)
+        return refitted(forward, self.asked, self.evidence.catalogue[k], self.config, self._members, start)
+
+    def _with(self, which: Iterable[int]) -> Trials:
+        new = [k for k in which if k not in self.made]
+        made = dict(zip(new, self.evidence.forward.each(self._refit, new), strict=True))
+        return replace(self, made={**self.made, **made})
+
+
+def _likely(test: Significance, catalogue: Sequence[Signature], config: DiagnosisConfig) -> dict[str, list[int]]:
+    """By effect, the likeliest first, the index of its likeliest candidate by linear evidence; of places that explain as much, one where
+    less of it does. Where it has a place, the likeliest elsewhere is a second one, since a little of an effect may not be told by what
+    much of it does: a weight on the tip of a beam bends it as ten times as much does beside the clamp, and swings otherwise."""
+    found: dict[str, list[int]] = {}
+    likely = [s.log_evidence for s in test.scores]
+    usual = np.array([logs - _unusual(s, one) for logs, s, one in zip(likely, test.scores, catalogue, strict=True)])
+    for name in dict.fromkeys(catalogue[k].name for k in np.argsort(-np.array(likely), kind="stable")):
+        own = sorted((k for k, one in enumerate(catalogue) if one.name == name), key=lambda k: -usual[k])
+        elsewhere = [k for k in own[1:] if usual[k] > usual[own[0]] - WORSE and _apart(catalogue[k], catalogue[own[0]]) > config.astray]
+        found[name] = [own[0], *elsewhere[:1]]
+    return found
+
+
+def _in_order(scores: Sequence[Score], led: Mapping[str, float]) -> list[str]:
+    """Names of effects, the likeliest first: by the better of linear evidence, of any candidate, and that of the best start (``led``)."""
+    best = dict(led)
+    for one in scores:
+        best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
+    return sorted(best, key=lambda name: -best[name])
+
+
+def _apart(one: Signature, other: Signature) -> float:
+    """Half of the way between the places of two candidates on the body [mm], as far as the refits of both may go to meet; 0 without."""
+    places = [s.candidate.place for s in (one, other)]
+    if one.candidate.effect.roaming or places[0] is None or places[1] is None:
+        return 0.0
+    return 500 * float(np.linalg.norm(places[0] - places[1]))
+
+
+def _unusual(score, signature: Signature) -> float:
+    """Nats against an amount above what is noticeable: ten times as much is a standard deviation."""
+    amounts = np.abs(np.array(score.sizes) * signature.unit)
+    over = [np.log10(max(a / u.first, 1.0)) for a, u in zip(amounts, signature.candidate.effect.amounts, strict=True)]
+    return float(np.sum(np.square(over)) / 2)
+
+
+def _chances(test: Significance, catalogue, refits: Mapping[int, float]) -> dict[str, float]:
+    """By effect, the likeliest first: all are alike before, and so are the candidates of one.
+
+    refits  evidence of refits by the index of their candidates. What a refit corrects, it corrects in all candidates of an effect: linear
+    evidence of those that were not refitted may be tens of nats too good.
+    """
+    from scipy.special import logsumexp
+
+    shift = {catalogue[k].name: evidence - test.scores[k].log_evidence for k, evidence in refits.items()}
+    logs: dict[str, list[float]] = {}
+    for signature, one in zip(catalogue, test.scores, strict=True):
+        logs.setdefault(signature.name, []).append(one.log_evidence + shift.get(signature.name, 0.0))
+    names = list(logs)
+    means = np.array([logsumexp(v) - np.log(len(v)) for v in logs.values()])
+    shares = np.exp(means - logsumexp(means)) if len(means) else means
+    return {names[k]: float(shares[k]) for k in np.argsort(-means, kind="stable")}
