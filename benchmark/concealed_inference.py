@@ -71,18 +71,8 @@ def arrays(evidence: Evidence) -> dict[str, np.ndarray]:
     return found | {name: np.concatenate([getattr(s, name) for s in e.catalogue]) for name in ("unit", "spread")}
 
 
-def case_row(
-    folder: str,
-    case: str,
-    config: DiagnosisConfig,
-    *,
-    keep: str | None = None,
-    refits: bool | None = None,
-    seed: int = 0,
-    progress=None,
-) -> dict:
-    """The answer on one case and its score. ``keep``: a folder for the twin, and for the arrays of its evidence; ``refits`` as ``weighed``
-    has it."""
+def case_row(folder: str, case: str, config: DiagnosisConfig, *, keep: str | None = None, seed: int = 0, progress=None) -> dict:
+    """The answer on one case and its score. ``keep``: a folder for the twin, and for the arrays of its evidence."""
     root = Path(folder)
     begun = time.time(), time.process_time()
     recording = open_scenario(str(root / case / "fit"))
@@ -94,7 +84,7 @@ def case_row(
         kept.mkdir(parents=True, exist_ok=True)
         known: dict[str, Any] = arrays(evidence)
         np.savez_compressed(kept / "evidence.npz", **known)
-    answer = weighed(evidence, config, refits=refits, progress=progress)
+    answer = weighed(evidence, config, progress=progress)
     label = json.loads((root / "labels.json").read_text(encoding="utf-8"))[case]
     took = dict(fit_cpu=spent, cpu=time.process_time() - begun[1], wall=time.time() - begun[0], runs=answer.runs, run_cpu=answer.seconds)
     kind = evidence.forward.simulators[0].scene.body.kind
@@ -151,21 +141,13 @@ def main(arguments=None) -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--members", type=int, default=DiagnosisConfig.members)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--refits", action="store_true", help="always refit the best effects, as for controls of a kind that has none yet")
     parser.add_argument("--keep", help="folder in which fitted twins are kept, and looked for; with the arrays of their evidence")
     parser.add_argument("--out", help="CSV of all rows; cases that are in it are not diagnosed again")
     given = parser.parse_args(arguments)
     config = DiagnosisConfig(members=given.members)
     work = {
         (folder.name, case): partial(
-            case_row,
-            str(folder),
-            case,
-            config,
-            keep=given.keep,
-            refits=given.refits or None,
-            seed=given.seed,
-            progress=partial(_printed, case),
+            case_row, str(folder), case, config, keep=given.keep, seed=given.seed, progress=partial(_printed, case)
         )
         for folder, case in cases_of([given.set], given.cases)
     }

@@ -118,7 +118,7 @@ def asked(
     found, hold = tested(evidence, config), None
     if found.alarms(config) and found.test.standardised["left"] > np.log(LOST) and len(recordings) == 1 and not against:
         hold = held(recordings[0], evidence, found.prior, asking.again, asking.look, config, progress=progress)
-    answer = weighed(evidence, config, found, refits=False if hold and explains(hold, found.test, config) else None, progress=progress)
+    answer = weighed(evidence, config, found, refits=not (hold and explains(hold, found.test, config)), progress=progress)
     if hold and answer.verdict == "unknown":
         answer = believed(hold, answer, evidence, config)
         if answer.verdict == "named":

@@ -2,11 +2,11 @@
 
 Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, and sound
 recordings hold errors that no member has. So each statistic, as a logarithm over its members', for some kinds what a twin leaves of the
-motion, and for some how much likelier the best of the refitted effects is than none, of those at a place and of the others, is compared
-with those of n recordings known to be sound, of the same kind of body and weighed with the same config and the same usual errors of
-recordings. They are taken as draws of a Student t whose place, scale and degrees of freedom are the likeliest (``tails``): a sound
-recording that lies far out then makes the tail heavier and leaves the rest alone, and p goes on where ranks among n end at 1 / (1 + n).
-What the most surprising of them costs hangs on how much they go together, which these recordings tell as well.
+motion, and for some how much less of the body than was told the fit lets a hand hold, is compared with those of n recordings known to be
+sound, of the same kind of body and weighed with the same config and the same usual errors of recordings. They are taken as draws of a
+Student t whose place, scale and degrees of freedom are the likeliest (``tails``): a sound recording that lies far out then makes the tail
+heavier and leaves the rest alone, and p goes on where ranks among n end at 1 / (1 + n). What the most surprising of them costs hangs on how
+much they go together, which these recordings tell as well.
 
 ``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``; kinds of body of
 which there are none stay as they were frozen.
@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -31,20 +31,35 @@ from .tails import Tail, any_beyond, going_together
 __all__ = ["FILE", "Controls", "frozen", "main"]
 
 FILE = Path(__file__).parent / "controls.json"
-REFITS = {"refit": "over_refit", "placed": "over_placed"}  # columns of tables by statistic: of refits
-COLUMNS = {"misfit": "over_misfit", "scan": "over_scan", "left": "left_share", **REFITS}  # of all
+COLUMNS = {"misfit": "over_misfit", "scan": "over_scan", "left": "left_share", "grip": "grip_narrowed"}  # of tables, by statistic
 MARKED = "marked "  # goes before a kind of body of which markers are seen
-REFITTING = ("motion", "refitted", "astray", "reshaped", "steps", "runs")  # fields that change what refits say alone
-DECIDING = ("level", "wandering", "repeat", "parallel", "clearly", "roaming", "planned", "members")  # that change no statistic
+DECIDING = (
+    "level",
+    "wandering",
+    "held",
+    "motion",
+    "repeat",
+    "refitted",
+    "astray",
+    "reshaped",
+    "steps",
+    "runs",
+    "parallel",
+    "clearly",
+    "roaming",
+    "planned",
+    "members",
+)  # fields that change no statistic of a recording
 
 
 @dataclass(frozen=True, eq=False)
 class Controls:
     """standardised (n, k): the statistics ``names`` (k,) of n sound recordings (``significance.Significance.standardised``), NaN where one
-    was not weighed by it."""
+    was not weighed by it; ``usual``: by name a standard deviation of what other recordings may have beyond these."""
 
     standardised: np.ndarray
     names: tuple[str, ...]
+    usual: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, kind: str, config: DiagnosisConfig, *, marked: bool = False, recordings: int = 1) -> Controls | None:
@@ -54,13 +69,12 @@ class Controls:
         known = _known()
         if config.members < known["config"]["members"] or known["config"] != _shaping(config) | {"members": known["config"]["members"]}:
             return None
-        refits = known["refitting"] == _refitting(config)
         for count in range(recordings, 0, -1):
             every = cls._read(known["kinds"].get(_group(MARKED + kind if marked else kind, count), []))
             enough = 1 / (1 + np.isfinite(every.standardised).sum(0)) < config.level
-            kept = [k for k, name in enumerate(every.names) if enough[k] and (refits or name not in REFITS)]
+            kept = [k for k in range(len(every.names)) if enough[k]]
             if kept:
-                return cls(every.standardised[:, kept], tuple(every.names[k] for k in kept))
+                return cls(every.standardised[:, kept], tuple(every.names[k] for k in kept), {"grip": config.held})
         return None
 
     @classmethod
@@ -78,24 +92,21 @@ class Controls:
     @classmethod
     def all(cls) -> dict[str, Controls]:
         """All that are frozen, by kind of body and number of recordings."""
-        return {group: cls._read(rows) for group, rows in _known()["kinds"].items()}
+        usual = {"grip": DiagnosisConfig.held}
+        return {group: replace(cls._read(rows), usual=usual) for group, rows in _known()["kinds"].items()}
 
     def left_out(self) -> np.ndarray:
         """(n,) p of each of them by what it was weighed by, judged by the others."""
         found = []
         for k, row in enumerate(self.standardised):
             own = {name: value for name, value in zip(self.names, row, strict=True) if np.isfinite(value)}
-            found.append(Controls(np.delete(self.standardised, k, 0), self.names).p(own))
+            found.append(replace(self, standardised=np.delete(self.standardised, k, 0)).p(own))
         return np.array(found)
-
-    @property
-    def refits(self) -> bool:
-        """Whether it is known what refits gain of sound recordings."""
-        return not REFITS.keys().isdisjoint(self.names)
 
     @cached_property
     def tails(self) -> dict[str, Tail]:
-        return {name: Tail.of(own[np.isfinite(own)]) for name, own in zip(self.names, self.standardised.T, strict=True)}
+        found = {name: Tail.of(own[np.isfinite(own)]) for name, own in zip(self.names, self.standardised.T, strict=True)}
+        return {name: replace(one, scale=float(np.hypot(one.scale, self.usual.get(name, 0.0)))) for name, one in found.items()}
 
     @cached_property
     def together(self) -> np.ndarray:
@@ -132,14 +143,9 @@ def _known() -> dict:
 
 def _shaping(config: DiagnosisConfig) -> dict:
     """What statistics depend on, as JSON has it; ``members`` is asked for on its own."""
-    others = (*REFITTING, *DECIDING)
-    found = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(config).items() if name not in others}
+    found = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(config).items() if name not in DECIDING}
     usual = {amount.name: amount.usual for effect in effects() for amount in effect.amounts if amount.usual}
     return found | {"members": config.members, "usual": usual}
-
-
-def _refitting(config: DiagnosisConfig) -> dict:
-    return {name: getattr(config, name) for name in REFITTING}
 
 
 def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
@@ -157,12 +163,12 @@ def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
         if sound.empty:
             raise ValueError(f"{path}: a table of controls must have sound rows, got none in {len(table)}")
         for row in sound.itertuples():
-            told = {name: float(getattr(row, COLUMNS[name], np.nan)) for name in (*_needed(str(row.kind)), *REFITS)}
+            told = {name: float(getattr(row, COLUMNS[name], np.nan)) for name in (*_needed(str(row.kind)), "grip")}
             values = {name: round(value, 4) for name, value in told.items() if np.isfinite(value)}
             group = _group(str(row.kind), int(getattr(row, "recordings", 1)))
             kinds.setdefault(group, []).append({"set": row.set, "case": row.case, "statistics": values})
     ordered = {kind: sorted(rows, key=lambda r: (r["set"], r["case"])) for kind, rows in kinds.items()}
-    return {"config": _shaping(config), "refitting": _refitting(config), "kinds": ordered}
+    return {"config": _shaping(config), "kinds": ordered}
 
 
 def _needed(kind: str) -> tuple[str, ...]:
@@ -180,7 +186,7 @@ def main(arguments=None) -> None:
     if given.out.exists():
         before = json.loads(given.out.read_text(encoding="utf-8"))
         kept = set(before["kinds"]) - set(found["kinds"])
-        then, now = ({**one["config"], **one["refitting"]} for one in (before, found))
+        then, now = before["config"], found["config"]
         differ = sorted(k for k in {*then, *now} if then.get(k) != now.get(k))
         if kept and differ:
             raise ValueError(

@@ -166,6 +166,14 @@ class Forward:
         """The unknowns ``shift`` (n,) prior standard deviations from where the fit ended."""
         return {u.name: u.decode(s) for u, s in zip(self.unknowns, self.scaled + shift * self.sds, strict=True)}
 
+    def narrowed(self) -> float | None:
+        """Logarithm of how much narrower than was told the narrowest grip in a recording that is asked is where the fit ended, None where
+        no hand's grip was fitted."""
+        told = tuple(f"rec{r}_grip" for r in self.asked)
+        ended = self.values(np.zeros(len(self.unknowns)))
+        own = [-np.log(v) for name, v in ended.items() if name.startswith(told) and name.endswith("_reach")]
+        return float(max(own)) if own else None
+
     def paths(self, rows: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
         """For each recording (K, T, M, 3) m, of dicts of values beside the twin's own; NaN from where one diverged. T: all frames, or those
         that were fitted where what comes ``after`` is told."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -99,31 +99,25 @@ def weighed(
     config: DiagnosisConfig,
     found: Tested | None = None,
     *,
-    refits: bool | None = None,
+    refits: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> Answer:
     """The test (``found``, if it was made before), names, detectable sizes and the budget of what ``gathered`` returns.
 
-    Much of each effect is tried and the best are refitted, which costs as many runs as all before and more: where the test alarms without,
-    or where it is known what that gains of sound recordings, so that it counts in the test; or always or never (``refits``).
+    Where the test alarms, much of each effect is tried, and the best are refitted, which costs twice as many runs as all before and more,
+    unless ``refits`` says otherwise.
     """
     tell = progress or (lambda _: None)
     e, scatter = evidence, evidence.scatter
     found = found or tested(evidence, config)
-    prior, controls = found.prior, found.test.controls
-    tell(f"p {found.test.p:.3g} (misfit {found.test.p_misfit:.3g}, scan {found.test.p_scan:.3g})")
-    trials = Trials.of(e, prior, found.test, config)
-    if e.catalogue and (refits if refits is not None else found.alarms(config) or (controls and controls.refits)):
-        trials = trials.with_first()
-        found = replace(found, test=found.test.with_refits(trials.nats))
-        best = max(trials.nats.values())
-        tell(f"p {found.test.p:.3g}: the best of {len(trials.best)} refitted candidates is likelier than none by {best:.1f} nats")
-    test, alarm = found.test, found.alarms(config)
-    if alarm and trials.made:
-        trials = trials.with_all()
-        tell(f"{len(trials.best)} candidates refitted")
+    prior, test, alarm = found.prior, found.test, found.alarms(config)
+    tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
+    trials = Trials.of(e, prior, test, config)
+    if alarm and refits:
+        trials = trials.with_refits()
+    tell(f"{len(trials.best)} candidates refitted")
     rows, sound, chances = trials.asked.rows, trials.sound, trials.chances
-    best = [(e.catalogue[k], trials.made[k]) for k in trials.best.values()] if alarm else []
+    best = [(e.catalogue[k], trials.made[k]) for k in trials.best.values()]
     whole, seen = scatter.only(rows).likelihood(prior), (e.forward.data[rows], e.forward.motion[rows])
     left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r in best]
     usual = np.diag(scatter.expected(prior) + scatter.noise)
@@ -168,7 +162,9 @@ def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:
     kind, marked = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
     controls = Controls.of(kind, config, marked=marked, recordings=len(e.forward.simulators)) if usual else None
     founded = Controls.known(kind, marked=marked) or e.from_recordings or e.forward.contrast is not None  # members alone are no null
-    test = significance(e.scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls)
+    test = significance(
+        e.scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls, narrowed=e.forward.narrowed()
+    )
     return Tested(prior, test, founded)
 
 

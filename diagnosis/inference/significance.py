@@ -5,15 +5,14 @@ recording's lies where a Student t with K - 1 degrees of freedom says, around th
 prediction interval of a normal sample. That the best of the whole catalogue was taken is in the null, since members take their best.
 Where there are frozen sound recordings of the kind, they say how such logarithms are distributed (``controls``): over all of them, since
 the deviation of a dozen members is itself known to a fifth only. They may also say how much of its motion a sound body's twin
-leaves: where a hand is kept back a twin is fitted to nonsense, among whose members anything is usual. And they may say how much likelier
-than none the best of the refitted effects is: what a sound twin's fit makes up for leaves no misfit, and a little of it explains nothing.
-Effects at a place are compared for themselves: one of a dozen places may well suit what a sound twin is off by, where the rest hardly does.
+leaves: where a hand is kept back a twin is fitted to nonsense, among whose members anything is usual. And they may say how far from what
+was told a fit goes: a hand that gives way is made up for by one that holds less, and then leaves no misfit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,8 +31,7 @@ class Significance:
     p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
     standardised  what is pooled over controls, by name: logarithms of the recordings' two statistics over the members' geometric means
-                  (misfit, scan), and of the residual over the motion, both RMS (left); what refits gain, once they are made (refit, placed;
-                  see ``with_refits``)
+                  (misfit, scan), and of the residual over the motion, both RMS (left); ``narrowed`` where hands hold the body (grip)
     """
 
     p: float
@@ -48,12 +46,6 @@ class Significance:
     standardised: Mapping[str, float]
     scores: tuple[Score, ...]
     controls: Controls | None = None
-
-    def with_refits(self, nats: Mapping[str, float]) -> Significance:
-        """The same where the best of the refitted effects is likelier than none by ``nats``, by the name of the statistic. Their inverse
-        hyperbolic sine is compared with controls': a logarithm of many, and the number itself of few."""
-        standardised = {**self.standardised, **{name: float(np.arcsinh(value)) for name, value in nats.items()}}
-        return replace(self, standardised=standardised, p=self.controls.p(standardised) if self.controls else self.p)
 
     def alarming(self, level: float) -> float:
         """The largest score above which p is below ``level``, whatever the misfit."""
@@ -91,12 +83,14 @@ def significance(
     motion,
     *,
     controls: Controls | None = None,
+    narrowed: float | None = None,
 ) -> Significance:
     """The test of ``residual`` (B,) m, of the fitted block means alone.
 
     noisy (K, B)  the members as they would have been seen; member k is weighed without itself
     motion (B,)   m, of the block means since frame 0
     controls      frozen sound recordings of the kind, or None
+    narrowed      logarithm of how much narrower than was told a hand holds the body where the fit ended, None where none does
     """
     rows, away = np.flatnonzero(scatter.layout.fitted), np.flatnonzero(~scatter.layout.fitted)
     held_out, scatter = scatter.only(away), scatter.only(rows)
@@ -114,6 +108,7 @@ def significance(
     (p_misfit, over_misfit), (p_scan, over_scan) = predictive(misfit, misfits), predictive(largest, largests)
     p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
     standardised = {"misfit": over_misfit, "scan": over_scan, "left": left_of(residual, np.asarray(motion)[rows])}
+    standardised |= {} if narrowed is None else {"grip": narrowed}
     p = controls.p(standardised) if controls else p_members
     return Significance(
         p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls

@@ -50,18 +50,14 @@ class Trials:
         asked = Asked(e.forward.data, e.reference, e.slopes, likelihood, rows)
         return cls(e, prior, test, config, asked, refitted(e.forward, asked, None, config), {}, {})
 
-    def with_first(self) -> Trials:
-        """Much of each effect is tried, and the ``config.refitted`` best are refitted, each where a little of it is likeliest."""
+    def with_refits(self) -> Trials:
+        """Much of each effect is tried, and the best ``config.refitted`` are refitted, where a little of each is likeliest and elsewhere;
+        where refits were worse than their linear evidence, the likeliest may be one that was not refitted, which then is."""
         firsts = [own[0] for own in self.likely.values()]
         starts = dict(zip(firsts, self.evidence.forward.each(self._begin, firsts), strict=True))
         led = {self._name(k): one.log_evidence - self.sound.log_evidence for k, one in starts.items() if one}
-        best = _in_order(self.test.scores, led)[: self.config.refitted]
-        return replace(self, starts=starts)._with([self.likely[name][0] for name in best])
-
-    def with_all(self) -> Trials:
-        """Those also where they are likely elsewhere; and where refits were worse than their linear evidence, so that the likeliest effect
-        may be one that was not refitted, that one."""
-        found = self._with([k for name in self.best for k in self.likely[name]])
+        names = _in_order(self.test.scores, led)[: self.config.refitted]
+        found = replace(self, starts=starts)._with([k for name in names for k in self.likely[name]])
         while found.chances and (name := next(iter(found.chances))) not in found.best and len(found.best) < MOST * self.config.refitted:
             found = found._with(self.likely[name])
         return found
@@ -79,17 +75,6 @@ class Trials:
             name = self._name(k)
             if name not in found or one.log_evidence > self.made[found[name]].log_evidence:
                 found[name] = k
-        return found
-
-    @property
-    def nats(self) -> dict[str, float]:
-        """By which the best is likelier than the sound twin, of effects at a place (``placed``) and of others (``refit``); one that was not
-        refitted counts where its refit would begin."""
-        found: dict[str, float] = {}
-        for k, one in {**self.starts, **self.made}.items():
-            kind = "placed" if self.evidence.catalogue[k].candidate.effect.place else "refit"
-            if one:
-                found[kind] = max(found.get(kind, -np.inf), one.log_evidence - self.sound.log_evidence)
         return found
 
     @property
