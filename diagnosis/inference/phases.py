@@ -111,7 +111,8 @@ def weighed(
     e, scatter = evidence, evidence.scatter
     found = found or tested(evidence, config)
     prior, test, alarm = found.prior, found.test, found.alarms(config)
-    tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g})")
+    holds = f"; a hand holds {np.exp(-test.standardised['grip']):.2f} of what was told" if "grip" in test.standardised else ""
+    tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g}{holds})")
     trials = Trials.of(e, prior, test, config)
     if alarm and refits:
         trials = trials.with_refits()
