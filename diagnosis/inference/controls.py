@@ -70,19 +70,19 @@ class Controls:
         if config.members < known["config"]["members"] or known["config"] != _shaping(config) | {"members": known["config"]["members"]}:
             return None
         for count in range(recordings, 0, -1):
-            every = cls._read(known["kinds"].get(_group(MARKED + kind if marked else kind, count), []))
+            every = cls._read(known["kinds"].get(_group(MARKED + kind if marked else kind, count), []), config)
             enough = 1 / (1 + np.isfinite(every.standardised).sum(0)) < config.level
             kept = [k for k in range(len(every.names)) if enough[k]]
             if kept:
-                return cls(every.standardised[:, kept], tuple(every.names[k] for k in kept), {"grip": config.held})
+                return replace(every, standardised=every.standardised[:, kept], names=tuple(every.names[k] for k in kept))
         return None
 
     @classmethod
-    def _read(cls, rows: Sequence[dict]) -> Controls:
-        names = tuple(name for name in COLUMNS if any(name in row["statistics"] for row in rows))
-        return cls(
-            np.array([[row["statistics"].get(name, np.nan) for name in names] for row in rows]).reshape(len(rows), len(names)), names
-        )
+    def _read(cls, rows: Sequence[dict], config: DiagnosisConfig) -> Controls:
+        told = [row["statistics"] for row in rows]
+        names = tuple(name for name in COLUMNS if any(name in one for one in told))
+        values = np.array([[one.get(name, np.nan) for name in names] for one in told])
+        return cls(values.reshape(len(rows), len(names)), names, {"grip": config.held})
 
     @staticmethod
     def known(kind: str, *, marked: bool = False) -> bool:
@@ -92,8 +92,7 @@ class Controls:
     @classmethod
     def all(cls) -> dict[str, Controls]:
         """All that are frozen, by kind of body and number of recordings."""
-        usual = {"grip": DiagnosisConfig.held}
-        return {group: replace(cls._read(rows), usual=usual) for group, rows in _known()["kinds"].items()}
+        return {group: cls._read(rows, DiagnosisConfig()) for group, rows in _known()["kinds"].items()}
 
     def left_out(self) -> np.ndarray:
         """(n,) p of each of them by what it was weighed by, judged by the others."""

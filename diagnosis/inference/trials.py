@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,10 +27,9 @@ MOST = 2  # times ``config.refitted`` candidates that are refitted while one tha
 class Trials:
     """Candidates of the catalogue of ``evidence``, which a ``test`` scored, to be refitted to what is ``asked``, by their indices.
 
-    prior   of the covariance
-    sound   the twin without an effect, refitted alike
-    starts  where refits of some begin
-    made    refits
+    prior  of the covariance
+    sound  the twin without an effect, refitted alike
+    made   refits
     """
 
     evidence: Evidence
@@ -39,7 +38,6 @@ class Trials:
     config: DiagnosisConfig
     asked: Asked
     sound: Refit
-    starts: Mapping[int, Start | None]
     made: Mapping[int, Refit]
 
     @classmethod
@@ -48,18 +46,32 @@ class Trials:
         e, rows = evidence, np.flatnonzero(evidence.scatter.layout.fitted)
         likelihood = e.scatter.only(rows).likelihood(prior, parameters=False)
         asked = Asked(e.forward.data, e.reference, e.slopes, likelihood, rows)
-        return cls(e, prior, test, config, asked, refitted(e.forward, asked, None, config), {}, {})
+        return cls(e, prior, test, config, asked, refitted(e.forward, asked, None, config), {})
 
     def with_refits(self) -> Trials:
         """Much of each effect is tried, and the best ``config.refitted`` are refitted, where a little of each is likeliest and elsewhere;
         where refits were worse than their linear evidence, the likeliest may be one that was not refitted, which then is."""
-        firsts = [own[0] for own in self.likely.values()]
-        starts = dict(zip(firsts, self.evidence.forward.each(self._begin, firsts), strict=True))
-        led = {self._name(k): one.log_evidence - self.sound.log_evidence for k, one in starts.items() if one}
-        names = _in_order(self.test.scores, led)[: self.config.refitted]
-        found = replace(self, starts=starts)._with([k for name in names for k in self.likely[name]])
-        while found.chances and (name := next(iter(found.chances))) not in found.best and len(found.best) < MOST * self.config.refitted:
-            found = found._with(self.likely[name])
+        e, rows, likely = self.evidence, self.asked.rows, self.likely
+
+        def begin(k: int, forward: Forward) -> Start | None:
+            return begun(forward, self.asked, e.catalogue[k], self.config)
+
+        firsts = [own[0] for own in likely.values()]
+        starts = dict(zip(firsts, e.forward.each(begin, firsts), strict=True))
+        led = {e.catalogue[k].name: one.log_evidence - self.sound.log_evidence for k, one in starts.items() if one}
+        left_out = e.scatter.only(rows).left_out(self.prior, parameters=False)
+        members = list(zip(left_out, e.noisy[:, rows], strict=True))
+
+        def refit(k: int, forward: Forward) -> Refit:
+            start = starts[k] if k in starts else begin(k, forward)
+            return refitted(forward, self.asked, e.catalogue[k], self.config, members, start)
+
+        found = self
+        which = [k for name in _in_order(self.test.scores, led)[: self.config.refitted] for k in likely[name]]
+        while which:
+            found = replace(found, made={**found.made, **dict(zip(which, e.forward.each(refit, which), strict=True))})
+            likeliest, best = next(iter(found.chances)), found.best
+            which = likely[likeliest] if likeliest not in best and len(best) < MOST * self.config.refitted else []
         return found
 
     @cached_property
@@ -72,7 +84,7 @@ class Trials:
         """By effect which refit is the best."""
         found: dict[str, int] = {}
         for k, one in self.made.items():
-            name = self._name(k)
+            name = self.evidence.catalogue[k].name
             if name not in found or one.log_evidence > self.made[found[name]].log_evidence:
                 found[name] = k
         return found
@@ -82,28 +94,6 @@ class Trials:
         """By effect, the likeliest first: see ``_chances``."""
         gains = {k: self.made[k].log_evidence - self.sound.log_evidence for k in self.best.values()}
         return _chances(self.test, self.evidence.catalogue, gains)
-
-    def _name(self, k: int) -> str:
-        return self.evidence.catalogue[k].name
-
-    @cached_property
-    def _members(self) -> list:
-        """What sound twins leave of the rows, each with the likelihood by the others."""
-        rows = self.asked.rows
-        left_out = self.evidence.scatter.only(rows).left_out(self.prior, parameters=False)
-        return list(zip(left_out, self.evidence.noisy[:, rows], strict=True))
-
-    def _begin(self, k: int, forward: Forward) -> Start | None:
-        return begun(forward, self.asked, self.evidence.catalogue[k], self.config)
-
-    def _refit(self, k: int, forward: Forward) -> Refit:
-        start = self.starts[k] if k in self.starts else self._begin(k, forward)
-        return refitted(forward, self.asked, self.evidence.catalogue[k], self.config, self._members, start)
-
-    def _with(self, which: Iterable[int]) -> Trials:
-        new = [k for k in which if k not in self.made]
-        made = dict(zip(new, self.evidence.forward.each(self._refit, new), strict=True))
-        return replace(self, made={**self.made, **made})
 
 
 def _likely(test: Significance, catalogue: Sequence[Signature], config: DiagnosisConfig) -> dict[str, list[int]]:
