@@ -65,7 +65,8 @@ def told(label: dict, scene: Any, recording: int = 0) -> tuple[tuple, list[Unkno
     if effect == "compression_softening":
         return (terms.TensionCompression(),), [_bounded(terms.TensionCompression, "tension_share", 0.1)], {}
     if effect == "grip_compliance":
-        return (), [_amount("grip_rate", 100.0, 5.0, 1500.0, "1/s"), _amount("grip_damping", 1.0, 0.01, 20.0, "-")], {}
+        amounts = [_amount("grip_rate", 100.0, 5.0, 1500.0, "1/s"), _amount("grip_damping", 1.0, 0.01, 20.0, "-")]
+        return (), amounts, {"grip_hand": 0.0}  # the one that gives way is the first
     if effect == "controller_delay":
         return (terms.ControllerDelay(),), [_bounded(terms.ControllerDelay, "controller_delay", 0.0)], {}
     if effect == "quadratic_drag":

@@ -244,7 +244,7 @@ def _parameters(first: Named | None, members: int) -> dict:
         ends = [float(np.clip(value + s * wide * sd, amount.low, amount.high)) for s in (-1, 1)]
         found[amount.name] = {"value": value, "unit": amount.unit, "interval90": ends}
     units = dict.fromkeys(first.candidate.coordinates, "m")
-    units |= {p.name: p.unit for p in (first.candidate.effect.term.parameters if first.candidate.effect.term else ())}
+    units |= {p.name: p.unit for p in first.candidate.effect.parameters.values()}
     return found | {n: {"value": float(v), "unit": units.get(n, "-"), "interval90": None} for n, v in first.candidate.fixed.items()}
 
 

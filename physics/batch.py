@@ -197,7 +197,7 @@ class Batch:
         points, outside = assemble_points(systems, start, [i[s.particle_count :] for i, s in zip(indices, systems, strict=True)], count)
         self.point_starts = points["point_start"]
         self.hand_system = owners(np.diff(points["hand_start"]))
-        solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries")}
+        solid |= {name: points.pop(name) for name in ("point_weight", "point_home", "area", "carries", "hand_number")}
         sheets, drape = assemble_sheets(systems, start, count)
         self.panel_starts, self.fold_count = sheets["panel_start"], len(sheets["fold"])
         self.panel_system = owners(np.diff(self.panel_starts))

@@ -290,6 +290,7 @@ def _structs(R, vec, four, vectors):
         hand_start: wp.array(dtype=wp.int32)  # (B+1,) first hand of each system that holds points
         hand_row: wp.array(dtype=wp.int32)  # (hands+1,) first entry of each hand in
         hand_of: wp.array(dtype=wp.int32)  # the points that it holds
+        hand_number: wp.array(dtype=R)  # (hands,) of each in its system
         hand: wp.array(dtype=wp.int32)  # (P,) the hand of each point, or -1
         slid: wp.array2d(dtype=vec)  # (slots, hands) m, how far what they hold has slid (only with a slip term)
         push: wp.array(dtype=vec)  # (P,) N, from outside

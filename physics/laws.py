@@ -164,8 +164,8 @@ def _slip(laws):
     law = term.law
 
     @wp.func
-    def slip(apart: Any, pull: Any, m: Any, slid: Any, dt: Any, p: Any):
-        return law(apart, pull, m, slid, dt, p, 0)
+    def slip(apart: Any, pull: Any, m: Any, hand: Any, slid: Any, dt: Any, p: Any):
+        return law(apart, pull, m, hand, slid, dt, p, 0)
 
     return slip
 

@@ -58,7 +58,7 @@ def make_outside(kit):
     def slide(w: World, here: int, there: int, h: int, dt: R, p_grip: pg, p_slip: pz):
         before = w.slid[here, h]
         apart, pull, m = pulled(w, here, h, before, p_grip)
-        w.slid[there, h] = slip(apart, pull, m, before, dt, p_slip)
+        w.slid[there, h] = slip(apart, pull, m, w.hand_number[h], before, dt, p_slip)
 
     @wp.func
     def meet(w: World, here: int, there: int, q: int, dt: R, p_body: pb, p_surface: ps, p_touch: pt, p_grip: pg):
@@ -81,7 +81,7 @@ def make_outside(kit):
                 slid = w.slid[there, w.hand[q]]
                 apart = apart - slid
                 rate = rate - (slid - w.slid[here, w.hand[q]]) / dt
-            f += grip(apart, rate, m, p_grip) * w.held[q]
+            f += grip(apart, rate, m, w.hand_number[w.hand[q]], p_grip) * w.held[q]
         if wp.static(half):
             for k in range(w.point_node.shape[1]):
                 i = w.point_node[q, k]
@@ -121,7 +121,7 @@ def hand_functions(kit):
             m = w.carries[q] * w.held[q]
             own = lag(w, slot, q) - slid
             apart += own * m
-            pull += grip(own, vec(), w.carries[q], p_grip) * w.held[q]
+            pull += grip(own, vec(), w.carries[q], w.hand_number[h], p_grip) * w.held[q]
             mass += m
         mass = wp.max(mass, R(NOBODY))
         return apart / mass, pull, mass
@@ -154,12 +154,12 @@ def make_back_outside(kit):
         return wp.dot(g, touch(x, v, m, after, p)) + wp.dot(gq, after)
 
     @wp.func
-    def grip_dot(apart: vec, rate: vec, m: R, p: pg, g: vec):
-        return wp.dot(g, grip(apart, rate, m, p))
+    def grip_dot(apart: vec, rate: vec, m: R, hand: R, p: pg, g: vec):
+        return wp.dot(g, grip(apart, rate, m, hand, p))
 
     @wp.func
-    def slip_dot(apart: vec, pull: vec, m: R, slid: vec, dt: R, p: pz, g: vec):
-        return wp.dot(g, slip(apart, pull, m, slid, dt, p))
+    def slip_dot(apart: vec, pull: vec, m: R, hand: R, slid: vec, dt: R, p: pz, g: vec):
+        return wp.dot(g, slip(apart, pull, m, hand, slid, dt, p))
 
     @wp.func
     def back_slide(w: World, a: Adjoint, slot: int, h: int, dt: R, p_grip: pg, p_slip: pz):
@@ -174,7 +174,8 @@ def make_back_outside(kit):
             before += pace
         slid = w.slid[slot, h]
         apart, pull, mass = pulled(w, slot, h, slid, p_grip)
-        g_apart, g_pull, g_mass, g_slid, _dt, g_p, _g = wp.grad(slip_dot)(apart, pull, mass, slid, dt, p_slip, g)
+        hand = w.hand_number[h]
+        g_apart, g_pull, g_mass, _hand, g_slid, _dt, g_p, _g = wp.grad(slip_dot)(apart, pull, mass, hand, slid, dt, p_slip, g)
         if a.wants_table > 0:
             give_slip(a.slip, w.hand_of[first], g_p)
         before += g_slid
@@ -182,8 +183,8 @@ def make_back_outside(kit):
             q = w.hand_of[e]
             own = lag(w, slot, q) - slid
             m = w.carries[q]
-            hx, _hv, _hm, hp, _hg = wp.grad(grip_dot)(own, vec(), m, p_grip, g_pull * w.held[q])
-            by_held = wp.dot(g_pull, grip(own, vec(), m, p_grip)) + m * (wp.dot(g_apart, own - apart) / mass + g_mass)
+            hx, _hv, _hm, _hh, hp, _hg = wp.grad(grip_dot)(own, vec(), m, hand, p_grip, g_pull * w.held[q])
+            by_held = wp.dot(g_pull, grip(own, vec(), m, hand, p_grip)) + m * (wp.dot(g_apart, own - apart) / mass + g_mass)
             give(a.held, q, by_held)
             if a.wants_table > 0:
                 give_grip(a.grip, q, hp)
@@ -227,8 +228,9 @@ def make_back_outside(kit):
                 slid = w.slid[slot + 1, w.hand[q]]
                 apart = apart - slid
                 rate = rate - (slid - w.slid[slot, w.hand[q]]) / dt
-            hx, hv, _hm, hp, _hg = wp.grad(grip_dot)(apart, rate, m, p_grip, g * w.held[q])
-            give(a.held, q, wp.dot(g, grip(apart, rate, m, p_grip)))
+            hand = w.hand_number[w.hand[q]]
+            hx, hv, _hm, _hh, hp, _hg = wp.grad(grip_dot)(apart, rate, m, hand, p_grip, g * w.held[q])
+            give(a.held, q, wp.dot(g, grip(apart, rate, m, hand, p_grip)))
             if a.wants_table > 0:
                 give_grip(a.grip, q, hp)
             gx -= hx
@@ -305,7 +307,7 @@ def assemble_points(systems, starts, controllers, count: int) -> tuple[dict[str,
 
 def assemble_hands(systems) -> dict[str, np.ndarray]:
     """Which points each hand holds, as the kernels read it (``kernels.World``)."""
-    found, starts = [np.zeros(0, int)], [0]
+    found, numbers, starts = [np.zeros(0, int)], [np.zeros(0)], [0]
     for s in systems:
         if s.points is None:
             starts.append(starts[-1])
@@ -313,9 +315,10 @@ def assemble_hands(systems) -> dict[str, np.ndarray]:
         own = np.append(np.arange(s.controllers.shape[1]) if s.hands is None else s.hands, -1)[s.points.holds]
         names = np.unique(own[own >= 0])
         found.append(np.where(own >= 0, starts[-1] + np.searchsorted(names, own), -1))
+        numbers.append(names)
         starts.append(starts[-1] + len(names))
     hand = np.concatenate(found)
     held = np.flatnonzero(hand >= 0)
     of = held[np.argsort(hand[held], kind="stable")]
     row = np.searchsorted(hand[of], np.arange(starts[-1] + 1))
-    return dict(hand_start=np.array(starts), hand_row=row, hand_of=of, hand=hand)
+    return dict(hand_start=np.array(starts), hand_row=row, hand_of=of, hand=hand, hand_number=np.concatenate(numbers))

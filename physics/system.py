@@ -33,7 +33,7 @@ class System:
     stiffness    (E,) N, force per unit strain
     controllers  (T, C, 3) m, their path, frame by frame; T >= 1, also where C is 0
     grips        (C,) the particle that controller c carries along rigidly, where it finds it, or -1 where it only pulls on springs
-    hands        (C,) int: controllers of one number are one hand, out of which what they hold slides as one; each is one unless given
+    hands        (C,) int: controllers of one number are one hand, which holds and lets slip as one; each is one unless given
     terms        the physics, each name and each parameter name once
     home         (M, 3) m, where particles were in the frame 0 that parameters speak of, if another recording's; the start unless given
     hinges       (H, 3) int: nodes in a row (before, at, after), numbered like those of springs; only hinge terms read what follows

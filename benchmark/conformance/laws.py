@@ -140,9 +140,11 @@ def random_inputs(stage, rng):
     if stage == "touch":
         return [x[0], v[0], positive[0], 0.01 * x[1]]
     if stage == "slip":
-        return [0.01 * x[0], 100 * v[0], positive[0], 0.01 * x[1], 0.01 * positive[1]]
-    if stage in ("surface", "grip"):
-        return [x[0], v[0], *([x[1], positive[0]] if stage == "surface" else []), positive[1]]
+        return [0.01 * x[0], 100 * v[0], positive[0], rng.integers(0, 2, SAMPLES) * 1.0, 0.01 * x[1], 0.01 * positive[1]]
+    if stage == "grip":
+        return [x[0], v[0], positive[1], rng.integers(0, 2, SAMPLES) * 1.0]
+    if stage == "surface":
+        return [x[0], v[0], x[1], positive[0], positive[1]]
     if stage in ("body", "observer"):
         return [x[0], v[0], x[0] + 0.3 * x[1], *([v[1], x[1]] if stage == "observer" else []), positive[0]]
     return {"velocity": [v[0], 0.1 * positive[0]], "move": [x[0], v[0], 0.1 * positive[0]]}[stage]

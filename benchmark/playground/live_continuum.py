@@ -112,9 +112,10 @@ class ContinuumLive(EngineLive):
         mass = self.batch.constants["carries"].double().cpu().numpy()[grasp.points][:, None]
         held = made.held.double().cpu().numpy()[grasp.points][:, None]
         term = next(t for t in one.terms if isinstance(t, GripTerm))
-        force = term.twin(apart, rate, mass, **self.values_of(term)) * held
         for k, hand in enumerate(scene.hands):
-            hands[hand.controllers] = force[grasp.hand == k].sum(0) / max(1, len(hand.controllers))
+            of = grasp.hand == k
+            force = term.twin(apart[of], rate[of], mass[of], k, **self.values_of(term)) * held[of]
+            hands[hand.controllers] = force.sum(0) / max(1, len(hand.controllers))
         return hands
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
@@ -54,6 +54,7 @@ class Effect:
     place    prefix of parameters ``<place>_x, _y, _z`` [m] that say where on the body it is, "" for all of it; ``within``: how far
     roaming  whether that place is one of the room, which the body passes
     anchored whether it also has a place in the room, ``<place>_anchor_x, _y, _z`` [m], tried where the body was in frame 0
+    hand     name of the parameter that says by its number which hand it is of, -1 for all of them; "" where it is of no hand
     seen     turns the scene that was measured into what it is by the amounts of a fault of the measurement
     grounded whether it needs a ground
     """
@@ -69,6 +70,7 @@ class Effect:
     within: str = ""
     roaming: bool = False
     anchored: bool = False
+    hand: str = ""
     grounded: bool = False
     law: Callable[[Mapping[str, float]], dict[str, float]] | None = None
     alters: type[Term] | None = None
@@ -119,12 +121,17 @@ class Effect:
         """What a simulator is given for ``amounts``."""
         return dict(self.law(amounts)) if self.law else dict(amounts)
 
-    def candidates(self, places, laid: Mapping[int, Callable[[np.ndarray], np.ndarray]] | None = None) -> list[Candidate]:
-        """At all shapes and, where it has one, at each of ``places`` (P, 3) m; ``laid`` as ``Candidate`` has it.
+    def candidates(
+        self, places, laid: Mapping[int, Callable[[np.ndarray], np.ndarray]] | None = None, hands: Sequence[int] = ()
+    ) -> list[Candidate]:
+        """At all shapes and, where it has one, at each of ``places`` (P, 3) m, or of each of ``hands`` and of all together; ``laid`` as
+        ``Candidate`` has it.
 
-        How far one reaches around its place is limited by how far apart places are.
+        How far one reaches around its place is limited by how far apart places are. Of one hand nothing is said of others: it is not all.
         """
         shapes = [dict(zip(self.shapes, row, strict=True)) for row in product(*self.shapes.values())]
+        if self.hand:
+            shapes = [shape | {self.hand: float(k)} for shape in shapes for k in (*hands, *([-1] if len(hands) > 1 else []))]
         if not self.place:
             return [Candidate(self, shape) for shape in shapes]
         widest = WIDE * spacing(places, alone=np.inf)

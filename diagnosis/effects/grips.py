@@ -24,9 +24,10 @@ EFFECTS = (
         shapes={"grip_damping": (1.0,)},
         alters=terms.SoftGrip,
         hides="grip",
+        hand="grip_hand",
         motion="lifting, then shaking",
     ),
-    Effect.of_term("grip", terms.SlidingHand, ("solid", "rope", "sheet"), hides="grip"),
+    Effect.of_term("grip", terms.SlidingHand, ("solid", "rope", "sheet"), hides="grip", hand="slide_hand"),
 )
 
 HOLD = Effect(  # asked by itself (``holding``): it has no amount, and its path is what was seen

@@ -70,6 +70,7 @@ def signatures(
     that is. Runs end with the fitted frames, but of what is usually there. Places on the body are those of frame 0 of the first recording
     that is asked, and where they are in others follows from how the body lies there; where that leaves a choice (``Body.ways``), it is made
     by ``residual`` (B,) m, of deviations ``sd`` (B,): see ``_turned``.
+    Hands have the same numbers in all recordings.
     Where effects are known to be ``missing``, by name with their place (3,) m or None, no others are asked, and nowhere else.
     """
     kind, asked_of = forward.simulators[0].scene.body.kind, forward.asked
@@ -80,13 +81,14 @@ def signatures(
     laid = _laid(forward)
     asked = [e for e in effects(kind) if (grounded or not e.grounded) and (missing is None or e.name in missing)]
     told = {name: place[None] for name, place in (missing or {}).items() if place is not None}
+    hands = sorted({k for r in asked_of for k in forward.simulators[r].scene.soft})
     where = {e.name: told.get(e.name, passed if e.roaming else places) for e in asked}
     groups: dict[str, list] = {}
     for effect in asked:
         groups.setdefault("usual" if effect.is_usual else "" if effect.stage in CELLS_IN_ONE else effect.stage, []).append(effect)
 
     def measured(group, forward: Forward):
-        plan = [(c, j) for e in group for c in e.candidates(where[e.name], laid) for j in range(len(e.amounts))]
+        plan = [(c, j) for e in group for c in e.candidates(where[e.name], laid, hands) for j in range(len(e.amounts))]
         if not any(e.is_usual for e in group):
             forward = forward.fitted_alone(reference)
         extended = forward.with_effects(c for c, _ in plan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -184,10 +185,10 @@ class Scene:
             found[own] = falloff(_apart(self.points.home[self.grasp.points[own]], at + shift[k]), reach[k] * radii[k])
         return found
 
-    def held_mass(self, shift, reach) -> float:
-        """kg that a soft hand holds, each point as firmly as it is held; of several hands the geometric mean."""
+    def held_mass(self, shift, reach, hands: Sequence[int]) -> float:
+        """kg that one of ``hands`` holds, which hold softly, each point as firmly as it is held; of several the geometric mean."""
         held = self.firmness(shift, reach) * self.points.masses[self.grasp.points]
-        each = np.bincount(self.grasp.hand, held, len(self.hands))[list(self.soft)]
+        each = np.bincount(self.grasp.hand, held, len(self.hands))[list(hands)]
         return float(np.exp(np.mean(np.log(each))))
 
     @property

@@ -72,7 +72,7 @@ class Simulator:
         soft, fastened = np.full(len(grasp.points), -1), scene.fastened[0]
         holds[grasp.points], held[grasp.points] = len(driven) + np.arange(len(grasp.points)), 1.0
         terms = [*scene.body.terms, Gravity(dict(zip(("gravity_x", "gravity_y", "gravity_z"), scene.gravity, strict=True)))]
-        terms += [SoftGrip({"grip_rate": FIRM})]
+        terms += [SoftGrip({"grip_rate": FIRM, "firm_rate": FIRM})]
         if scene.ground is not None:
             plane = [*scene.ground.normal, scene.ground.offset]
             names = [f"coulomb_{name}" for name in ("normal_x", "normal_y", "normal_z", "offset")]

@@ -98,7 +98,7 @@ class ContinuumTwin(Twin):
         start, contact = "frames" if target.observed_frames == 2 else "rest", "on" if self.scene.contact else "off"
         there = placed(first, body.laid(first), Config(start=start, contact=contact), target)
         values = self.own_values | self._grips(there) | self._places(there)
-        if "grip_rate" in values and self.scene.soft and there.soft:
+        if "grip_rate" in values and self._giving(self.scene) and self._giving(there):
             values["grip_rate"] = self._as_stiff(there, values)
         if target.timed:
             values.pop("frame_rate", None)
@@ -133,10 +133,16 @@ class ContinuumTwin(Twin):
                 found |= dict(zip(names, map(float, self.scene.body.elsewhere(there.body, place)[0]), strict=True))
         return found
 
+    def _giving(self, scene: Scene) -> tuple[int, ...]:
+        """The hands that hold as ``grip_rate`` says: all soft ones, or the one that has a name."""
+        hand = self.values.get("grip_hand", -1)
+        return tuple(k for k in scene.soft if hand in (-1, k))
+
     def _as_stiff(self, there: Scene, values) -> float:
         """The rate [1/s] with which hands are springs of as many N/m ``there`` as they are here: M w^2, whatever mass M they hold."""
         rate = next(p for p in terms.SoftGrip.parameters if p.name == "grip_rate")
-        here, held = (scene.held_mass(*Simulator(scene).grips(own)) for scene, own in ((self.scene, self.values), (there, values)))
+        each = ((self.scene, self.values), (there, values))
+        here, held = (scene.held_mass(*Simulator(scene).grips(own), self._giving(scene)) for scene, own in each)
         return float(np.clip(values["grip_rate"] * np.sqrt(here / held), rate.low, rate.high))
 
     def save(self, folder: Path) -> None:

@@ -16,10 +16,11 @@ NOTHING = wp.constant(1.0e-12)  # m, and m/s^2: of which nothing is a share
 
 
 @wp.func
-def slide(apart: Any, pull: Any, m: Any, slid: Any, dt: Any, p: Any, o: int):
+def slide(apart: Any, pull: Any, m: Any, hand: Any, slid: Any, dt: Any, p: Any, o: int):
+    one = p[o + 3] < type(m)(0.0) or p[o + 3] == hand
     far, pulled = wp.length(apart), wp.length(pull) / m
     beyond = wp.max(pulled - p[o + 1] * p[o + 2], type(m)(0.0)) / wp.max(pulled, type(m)(NOTHING))
-    rate = p[o] * pulled / (p[o + 2] * wp.max(far, type(m)(NOTHING)))
+    rate = wp.where(one, p[o], type(m)(0.0)) * pulled / (p[o + 2] * wp.max(far, type(m)(NOTHING)))
     return slid + apart * (beyond * settled(rate * dt))
 
 
@@ -28,7 +29,7 @@ class SlidingHand(SlipTerm):
 
     b is by what hands pull held masses while they carry all of the body at rest: where they hold alike, they let slip above s times its
     weight in all, by c [m/s] for each further weight. q' is integrated exactly while the lag stays, and ends where the pull is s b. The
-    room's axes count: a hand that turns leaves behind what slid.
+    room's axes count: a hand that turns leaves behind what slid. Where one hand is named, the others hold fast.
     """
 
     name = "sliding_hand"
@@ -38,6 +39,7 @@ class SlidingHand(SlipTerm):
         Parameter(
             "slide_burden", 100.0, 1e-3, 1e6, "m/s^2", "b, by which hands pull what they hold while they carry the body", scale="log"
         ),
+        Parameter("slide_hand", -1.0, -1.0, 1e6, "-", "number of the hand that lets slip; -1: all do"),
     )
     law = slide
     effect = Effect(
@@ -50,8 +52,9 @@ class SlidingHand(SlipTerm):
     )
 
     @staticmethod
-    def twin(apart, pull, m, slid, dt, slide_speed, slide_weights, slide_burden):
+    def twin(apart, pull, m, hand, slid, dt, slide_speed, slide_weights, slide_burden, slide_hand):
         """The same law in numpy."""
+        slide_speed = slide_speed if slide_hand < 0 or slide_hand == hand else 0.0
         far, pulled = float(np.linalg.norm(apart)), float(np.linalg.norm(pull)) / m
         beyond = max(0.0, pulled - slide_weights * slide_burden) / max(pulled, 1e-12)
         return slid - apart * beyond * np.expm1(-slide_speed * pulled / (slide_burden * max(far, 1e-12)) * dt)

@@ -299,21 +299,21 @@ class TouchTerm(RememberingTerm, HardTerm):
 
 
 class GripTerm(HardTerm):
-    """The force of a hand on a point [N] that lags apart [m] behind it."""
+    """The force of a hand on a point [N] that lags apart [m] behind it; ``hand`` is its number (``System.hands``)."""
 
     stage = "grip"
-    given = ("apart", "rate", "m")
+    given = ("apart", "rate", "m", "hand")
 
 
 class SlipTerm(KernelTerm):
-    """How far what a hand holds has slid in it after a substep [m], 0 in frame 0; all of it slides as one.
+    """How far what a ``hand`` of that number holds has slid in it after a substep [m], 0 in frame 0; all of it slides as one.
 
     It lags ``apart`` [m] behind the hand beside the ``slid`` [m] before, the mean over the m [kg] that are held, and is pulled by ``pull``
     [N] in all for that. What it tends to must not be overshot however long dt is.
     """
 
     stage = "slip"
-    given = ("apart", "pull", "m", "slid", "dt")
+    given = ("apart", "pull", "m", "hand", "slid", "dt")
 
 
 class ObserverTerm(KernelTerm):

@@ -8,6 +8,7 @@ import pytest
 from twinbench.benchmark.solid_oracle import simulated, told
 from twinbench.benchmark.solid_twins import errors, first_second, summary
 from twinbench.methods.base import Trajectory
+from twinbench.physics.terms import SoftGrip
 
 PLACE = [{"centroid": [0.01, 0.02, 0.03], "radius": 0.04}] * 2
 KNOWN = {"axis_frame0": [0.0, 1.0, 0.0], "moves": False, "anchor": [0.0, 0.1, 0.2], "rest_m": 0.03, "shape": "sphere", "size_m": 0.03}
@@ -72,7 +73,7 @@ def test_the_first_second_begins_when_a_hand_has_gone_5_mm():
 def test_an_oracle_is_told_of_parameters_that_its_terms_have(kind, effect):
     label = dict(effect=effect, parameters=KNOWN, place=PLACE)
     terms, amounts, fixed = told(label, scene(kind))
-    known = {"grip_rate", "grip_damping", *(p.name for t in terms for p in t.parameters)}
+    known = {p.name for t in (SoftGrip, *terms) for p in t.parameters}
     assert amounts and {u.name for u in amounts} | set(fixed) <= known
     for term in terms:
         own = {p.name for p in term.parameters}

@@ -696,6 +696,16 @@ def test_what_a_refit_refutes_is_told_from_the_first():
     assert _refuted(named, DiagnosisConfig()) == {"c", "d"} and _refuted(named[:1], DiagnosisConfig()) == set()
 
 
+def test_hands_are_asked_one_by_one_and_all_together():
+    slip = next(e for e in effects("rope") if e.name == "grip_slip")
+    for hands, asked in (((), []), ((1,), [1]), ((0, 2), [0, 2, -1])):
+        found = slip.candidates(None, hands=hands)
+        assert [c.fixed["slide_hand"] for c in found] == asked * len(slip.shapes["slide_weights"])
+        assert {c.fixed["slide_weights"] for c in found} == (set(slip.shapes["slide_weights"]) if hands else set())
+    wind = next(e for e in effects("rope") if e.name == "wind")
+    assert len(wind.candidates(None, hands=(0, 1))) == len(wind.candidates(None))  # it is of no hand
+
+
 def test_a_part_reaches_no_farther_than_places_lie_apart():
     weight = next(e for e in effects("solid") if e.name == "added_mass")
     for apart, reach in ((0.05, 0.03), (0.024, 0.03), (0.008, 0.01)):
@@ -751,7 +761,7 @@ def test_a_prediction_interval_of_a_normal_sample_holds_what_it_says():
 def test_every_effect_says_what_it_is():
     for one in effects():
         assert one.amounts and one.says and one.bodies
-        zero = one.candidates([np.zeros(3)])[0].values(np.zeros(len(one.amounts)))
+        zero = one.candidates([np.zeros(3)], hands=(0,))[0].values(np.zeros(len(one.amounts)))
         assert all(np.isfinite(v) for v in zero.values())
         if one.term:  # what a candidate sets are parameters of its term, within their ranges
             one.term(zero)

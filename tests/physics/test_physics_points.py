@@ -127,6 +127,45 @@ def test_a_hand_carries_a_body_and_lags_behind_by_its_weight():
     np.testing.assert_allclose(drop, [0, 0, -9.8 / rate**2], atol=2e-6)
 
 
+def by_two_hands(*terms):
+    """The block, held everywhere: by hand 3 on the left of its middle, by hand 5 on the right."""
+    one = block(Gravity({"gravity_z": -9.8}), *terms, hold=lambda home: home[:, 0] < np.inf)
+    one.points.held[one.points.masses == 0] = 0.0
+    home = one.points.home[one.points.holds >= 0]
+    return replace(one, hands=np.where(home[:, 0] < SIZE[0] / 2, 3, 5))
+
+
+def turned(one, path):
+    """How far a path (T, N, 3) ends turned about y: by how much material points rose, for each metre of x that they began at."""
+    inside = one.points.masses > 0
+    first, last = (one.points.positions(path[t].numpy())[inside] for t in (0, -1))
+    along = first[:, 0] - first[:, 0].mean()
+    return along @ (last - first)[:, 2] / (along @ along)
+
+
+def test_one_hand_of_two_holds_otherwise():
+    # a rigid body on springs of w^2 for each mass, that drops by d and turns by t about y: sum k (d + t x) = M g, and, since springs hold
+    # points against moving sideways as well, sum k (x (d + t x) + z^2 t) = 0
+    soft, firm, young = 60.0, 90.0, 2e7
+    one = by_two_hands(SoftGrip({"grip_rate": soft, "grip_hand": 5.0, "firm_rate": firm, "grip_damping": 1.0, "firm_damping": 1.0}))
+    one = one.with_values(youngs_modulus=young)
+    path = Batch([one], fps=30, substeps=2000, double=True).rollout(31).positions[0]
+    inside = one.points.masses > 0
+    home, m = one.points.home[inside], one.points.masses[inside] / MASS
+    (x, _, z), k = (home - m @ home).T, m * np.where(home[:, 0] < SIZE[0] / 2, firm, soft) ** 2
+    drop, turn = np.linalg.solve([[k.sum(), k @ x], [k @ x, k @ (x**2 + z**2)]], [-9.8, 0.0])
+    assert (middle(one, path)[-1] - middle(one, path)[0])[2] == pytest.approx(drop, rel=0.01)  # what foam this firm bends by
+    assert turned(one, path) == pytest.approx(turn, rel=0.01) and turn < 0  # the soft hand is on the right
+
+
+def test_one_hand_of_two_lets_slip():
+    # as above, of the other hand alone: what it holds sinks, and what the first holds stays
+    slide = SlidingHand({"slide_speed": 0.05, "slide_weights": 0.3, "slide_burden": 9.8, "slide_hand": 5.0})
+    one = by_two_hands(SoftGrip({"grip_rate": 60.0, "grip_damping": 1.0}), slide)
+    _, _x, _v, carried = Batch([one], fps=30, substeps=100, double=True).march(0, 15, whole=True)
+    assert (carried.slid[0] == 0).all() and carried.slid[1, 2] > 0.005  # 0.05 (1 - 0.3) m/s for half a second were 0.0175
+
+
 @pytest.mark.parametrize("substeps", [100, 400])
 def test_a_hand_that_moves_evenly_is_neither_led_nor_followed(substeps):
     # w d + 2 z d' = 0 in an even motion: what is held is where its hand is, at the same time, however long a step is. A hand a step ahead

@@ -94,6 +94,8 @@ def test_a_hand_that_gives_way_is_as_stiff_in_another_recording(truth):
     assert abs(elsewhere / here - 1) > 0.02
     assert same == pytest.approx(stiffness, rel=1e-9)
     assert "grip_rate" not in ContinuumTwin(scene, TRUE).retarget(there).values  # firm unless said
+    rate = {hand: ContinuumTwin(scene, twin.values | dict(grip_hand=hand)).retarget(there).values["grip_rate"] for hand in (0.0, 1.0)}
+    assert rate == {0.0: pytest.approx(other.values["grip_rate"]), 1.0: 60.0}  # of a hand that is not here there is nothing to say
 
 
 def test_a_run_that_blows_up_is_run_again_in_half_steps(truth, monkeypatch):
