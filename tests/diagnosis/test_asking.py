@@ -20,7 +20,9 @@ from twinbench.diagnosis.outcome import _why_open, chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
 from twinbench.diagnosis.suitable import has_continuum, suitable
 from twinbench.methods.continuum import Continuum
+from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
+from twinbench.methods.continuum.kinds import SLENDER
 from twinbench.physics.terms import Wind
 
 CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=8, cells=1.0, refitted=2)
@@ -43,6 +45,21 @@ def test_what_does_not_suit_is_refused_by_name():
             suitable(recordings, transfer)
     suitable([one, block("second", seed=1)])
     suitable([one, replace(one, name="tilted", gravity=one.gravity + [1.0, 0, 0])])  # under another gravity it is another recording
+
+
+def stretched(times, name, seed=0):
+    """The block, so many times as long."""
+    one, wide = block(name, seed=seed), [times, 1.0, 1.0]
+    return replace(one, **{part: getattr(one, part) * wide for part in ("points", "surface", "interior", "controllers")})
+
+
+def test_a_body_between_two_kinds_is_one_object_in_both():
+    # what is ten times as long as wide is a rope: one that is seen as 9 and as 12 times as long may be one object, 9 and 17 is another
+    ratio = {t: body_of(stretched(t, "one").observed()).evidence["length_over_width"] for t in (2.4, 2.6, 4.0)}
+    assert ratio[2.4] < SLENDER < ratio[2.6] < 1.6 * ratio[2.4] < ratio[4.0]
+    suitable([stretched(2.4, "short")], [stretched(2.6, "long", seed=1)])
+    with pytest.raises(ValueError, match=r"got a solid in short and a rope \(scenario long\)"):
+        suitable([stretched(2.4, "short")], [stretched(4.0, "long", seed=1)])
 
 
 def test_as_many_recordings_are_fitted_as_are_asked(monkeypatch):
