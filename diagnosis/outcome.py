@@ -11,6 +11,7 @@ import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..datasets.temporary import replacing
+from ..methods.continuum.scene import Scene
 from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .effects import effects
@@ -35,6 +36,7 @@ UNFOUNDED = (
     "How far a sound twin of such a body is off is told by no stored recordings, and by other twins alone it was never told well: "
     "recordings of the same command (--against) would tell it."
 )
+HALF = 0.5  # of how firmly a hand holds what it holds most firmly: it falls to that within the radius of a grip
 READINGS = 0.9  # names are readings until they have this much of the probability together, were one of them true
 
 
@@ -68,7 +70,7 @@ class Outcome:
             "probabilities": _probabilities(answer, verdict, lost),
             "why": _why_open(answer, verdict, config),
             "test": _test(answer, found.evidence, config),
-            "where": _where(first, forward.simulators[0].scene.body.structure) if first else _where_lost(here, parts[0][0]),
+            "where": _where(first, forward.simulators[0].scene) if first else _where_lost(here, parts[0][0]),
             "when": {"frames": [0, parts[0][0].frame_count]} if names else None,
             "parameters": _parameters(first, len(found.evidence.noisy)) | _how_lost(lost),
             "fit": _errors(scored, runs, floor),
@@ -219,16 +221,29 @@ def _test(answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> dict:
     return said | counts | dict(misfit=t.misfit, standardised=dict(t.standardised))
 
 
-def _where(first: Named | None, structure) -> dict | None:
-    """Where on the body, or in the room, it is: the particles of frame 0 within its reach, at least the nearest."""
-    if first is None or first.place is None:
+def _where(first: Named, scene: Scene) -> dict | None:
+    """Where on the body, or in the room, it is: the particles of frame 0 within its reach, at least the nearest, or what its hand holds."""
+    effect, fixed, structure = first.candidate.effect, first.candidate.fixed, scene.structure
+    if effect.hand:
+        return _held(scene, int(fixed[effect.hand]))
+    if first.place is None:
         return None
-    effect, fixed = first.candidate.effect, first.candidate.fixed
     far = np.linalg.norm(structure - np.array(first.place), axis=1)
     reach = float(fixed.get(effect.within, 0.0)) or float(far.min())
     points = np.flatnonzero(far <= max(reach, far.min()))
     centroid = np.array(first.place) if effect.roaming else structure[points].mean(0)
     return {"points": points.tolist(), "centroid": centroid.tolist(), "radius": reach}
+
+
+def _held(scene: Scene, number: int) -> dict | None:
+    """What the hand of that number was told to hold, half or more of it; nothing of all hands together."""
+    if number < 0:
+        return None
+    hand = scene.hands[number]
+    points = hand.points[hand.firmness >= HALF * hand.firmness.max()]
+    centroid = scene.structure[points].mean(0)
+    radius = float(np.linalg.norm(scene.structure[points] - centroid, axis=1).max())
+    return {"points": points.tolist(), "centroid": centroid.tolist(), "radius": radius}
 
 
 def _parameters(first: Named | None, members: int) -> dict:

@@ -3,6 +3,7 @@
 import time
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from twinbench.diagnosis.inference import scan
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
 from twinbench.diagnosis.inference.forward import Forward
 from twinbench.diagnosis.inference.members import affordable, drawn, ran, shared
+from twinbench.diagnosis.inference.phases import Named
 from twinbench.diagnosis.inference.scan import signatures
 from twinbench.diagnosis.inference.settling import left, settled
+from twinbench.diagnosis.outcome import _where
 from twinbench.methods.continuum.simulate import Simulator
 from twinbench.methods.continuum.unknowns import Unknown
 from twinbench.physics import side_by_side
@@ -254,6 +257,22 @@ def test_effects_are_told_what_a_recording_says(twin, recording):
     usual = np.zeros((len(scene.hands), 3)), np.ones(len(scene.hands))
     held = scene.firmness(*usual) @ scene.points.masses[scene.grasp.points]
     assert known["slide_burden"] * held == pytest.approx(np.linalg.norm(scene.gravity) * scene.points.masses.sum())
+
+
+def test_an_effect_of_a_hand_is_where_that_hand_holds(twin):
+    # points that are held half as firmly as any: all within a grip's radius of its controllers, and as many as any farther in are
+    scene = twin.scene
+    hand = scene.hands[0]
+    slip = next(e for e in effects("solid") if e.name == "grip_slip")
+    nothing: Any = None
+    three = slip.candidates(None, hands=(0, 1))[:3]
+    one, _, every = (Named(c, slip.name, "", 1.0, 9.0, {}, {}, None, nothing, 1.0, nothing) for c in three)
+    found = _where(one, scene)
+    assert found is not None and _where(every, scene) is None  # of all hands together it is nowhere
+    firm = dict(zip(hand.points.tolist(), hand.firmness.tolist(), strict=True))
+    assert set(found["points"]) == {p for p, f in firm.items() if f >= 0.5 * max(firm.values())}
+    away = np.linalg.norm(scene.structure[found["points"]] - found["centroid"], axis=1)
+    assert found["radius"] == pytest.approx(away.max()) and np.mean(scene.structure[found["points"]], 0) == pytest.approx(found["centroid"])
 
 
 def test_effects_act_in_recordings_that_are_not_known_to_be_sound(twin, recording):
