@@ -36,7 +36,7 @@ UNFOUNDED = (
     "How far a sound twin of such a body is off is told by no stored recordings, and by other twins alone it was never told well: "
     "recordings of the same command (--against) would tell it."
 )
-HALF = 0.5  # of how firmly a hand holds what it holds most firmly: it falls to that within the radius of a grip
+HALF = 0.5  # of how firmly a hand holds what it holds most firmly: it has fallen to that at the radius of a grip
 READINGS = 0.9  # names are readings until they have this much of the probability together, were one of them true
 
 
@@ -236,10 +236,11 @@ def _where(first: Named, scene: Scene) -> dict | None:
 
 
 def _held(scene: Scene, number: int) -> dict | None:
-    """What the hand of that number was told to hold, half or more of it; nothing of all hands together."""
-    if number < 0:
+    """What the hand of that number was told to hold, half as firmly as anything in it, or more; None of all hands together, and of one that
+    holds nothing in this recording."""
+    hand = scene.hands[number] if 0 <= number < len(scene.hands) else None
+    if hand is None or not len(hand.points):
         return None
-    hand = scene.hands[number]
     points = hand.points[hand.firmness >= HALF * hand.firmness.max()]
     centroid = scene.structure[points].mean(0)
     radius = float(np.linalg.norm(scene.structure[points] - centroid, axis=1).max())

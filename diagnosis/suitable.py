@@ -120,8 +120,8 @@ def _body(one: Scenario) -> Body:
 
 
 def _alike(first: Body, recording: Scenario, one: Scenario) -> None:
-    """Of one kind, or of lengths so near each other that one kind may be taken for the other: of a plush that is ten times as long as wide
-    the ends may touch in one recording. And of about one size: the root mean square distance from the middle of a solid, which no pose
+    """Of one kind, or so near to what parts a rope from a solid that one may be taken for the other: a plush that is ten times as long as
+    wide may touch itself in one recording. And of about one size: the root mean square distance from the middle of a solid, which no pose
     changes much.
     """
     body = _body(one)
@@ -136,7 +136,7 @@ def _alike(first: Body, recording: Scenario, one: Scenario) -> None:
 
 
 def _borders(*recordings: Scenario) -> bool:
-    """Whether their bodies are alike in length over width, and in width over thickness, by which kinds are told (``kinds``)."""
+    """Whether one is told to be a rope and the other a solid by lengths that are alike, over their width and in metres."""
     told = [body_of(one.observed()).evidence for one in recordings]
-    ratios = [[one[name] for one in told] for name in ("length_over_width", "width_over_thickness")]
-    return all(max(pair) <= LIKE * min(pair) for pair in ratios)
+    lengths = [[one[name] for one in told] for name in ("length_over_width", "length")]
+    return {one["told"] for one in told} == {"rope", "solid"} and all(max(pair) <= LIKE * min(pair) for pair in lengths)

@@ -88,8 +88,11 @@ VALUES = dict(
     plate_poisson=0.2,
     plate_viscous_poisson=0.1,
     grip_rate=300.0,
+    grip_hand=1.0,  # of two
+    firm_rate=200.0,
     slide_burden=20.0,
     slide_weights=0.5,
+    slide_hand=-1.0,
     rope_rub=0.01,
     rope_rub_strain=0.01,
     layer_thickness=0.008,
@@ -323,8 +326,8 @@ def check(batch, inputs, name, indices, **window):
     """Relative error below 1e-4, relative to the number itself or to a thousandth of the largest of its kind.
 
     h = 1e-7 of a number of order 0.1 to 100: truncation h^2 and rounding 1e-15 |L| / h = 1e-8 |L| are both far below. A contact that
-    begins or ends within h is a kink, of which a smaller h is clear: that is tried where the first differs. Where the gradient is a
-    thousandth of the largest, rounding may be 1e-4 of it: a larger h is tried too.
+    begins or ends within h is a kink, of which a smaller h is clear: that is tried where the first differs. Rounding of a run of thousands
+    of steps may be 1e-4 of what is a thousandth of the largest, of which a larger h is clear: so is that.
     """
     gradient = getattr(inputs, name).grad.flatten()
     for i in indices:

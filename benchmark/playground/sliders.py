@@ -16,6 +16,7 @@ AXES = ("gravity_x", "gravity_y", "gravity_z")
 PLACES = ("_x", "_y", "_z", "_offset", "_within", "_reach")  # ends of names that say where something is, which is not of the material
 SHAPE = ("natural_a", "natural_b", "natural_kept")  # beginnings of names that say how a body is shaped at rest
 INNER = ("controller_velocity", "collide_neighbours", "layer_rate", "layer_thickness", "coulomb_rate", "coulomb_damping", "grip_damping")
+INNER += ("grip_hand", "firm_rate", "firm_damping", "slide_hand")
 
 
 def offered(system: System) -> dict[str, Parameter]:

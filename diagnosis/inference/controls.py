@@ -3,7 +3,8 @@
 Members are not exchangeable with recordings: each is off by what two twins differ in, while a recording's twin was fitted to it, and sound
 recordings hold errors that no member has. So each statistic, as a logarithm over its members', for some kinds what a twin leaves of the
 motion, and for some how much less of the body than was told the fit lets a hand hold, is compared with those of n recordings known to be
-sound, of the same kind of body and weighed with the same config and the same usual errors of recordings. They are taken as draws of a
+sound, of the same kind of body and weighed with the same config and the same usual errors of recordings; so is, for some, how far tracks
+beside a hand stray from where it would carry them. They are taken as draws of a
 Student t whose place, scale and degrees of freedom are the likeliest (``tails``): a sound recording that lies far out then makes the tail
 heavier and leaves the rest alone, and p goes on where ranks among n end at 1 / (1 + n). What the most surprising of them costs hangs on how
 much they go together, which these recordings tell as well.
@@ -31,12 +32,13 @@ from .tails import Tail, any_beyond, going_together
 __all__ = ["FILE", "Controls", "frozen", "main"]
 
 FILE = Path(__file__).parent / "controls.json"
-COLUMNS = {"misfit": "over_misfit", "scan": "over_scan", "left": "left_share", "grip": "grip_narrowed"}  # of tables, by statistic
+COLUMNS = {"misfit": "over_misfit", "scan": "over_scan", "left": "left_share", "grip": "grip_narrowed", "stray": "hand_stray"}  # of tables
 MARKED = "marked "  # goes before a kind of body of which markers are seen
 DECIDING = (
     "level",
     "wandering",
     "held",
+    "strays",
     "motion",
     "repeat",
     "refitted",
@@ -82,7 +84,7 @@ class Controls:
         told = [row["statistics"] for row in rows]
         names = tuple(name for name in COLUMNS if any(name in one for one in told))
         values = np.array([[one.get(name, np.nan) for name in names] for one in told])
-        return cls(values.reshape(len(rows), len(names)), names, {"grip": config.held})
+        return cls(values.reshape(len(rows), len(names)), names, {"grip": config.held, "stray": config.strays})
 
     @staticmethod
     def known(kind: str, *, marked: bool = False) -> bool:
@@ -162,7 +164,7 @@ def frozen(tables: Sequence[Path], config: DiagnosisConfig) -> dict:
         if sound.empty:
             raise ValueError(f"{path}: a table of controls must have sound rows, got none in {len(table)}")
         for row in sound.itertuples():
-            told = {name: float(getattr(row, COLUMNS[name], np.nan)) for name in (*_needed(str(row.kind)), "grip")}
+            told = {name: float(getattr(row, COLUMNS[name], np.nan)) for name in (*_needed(str(row.kind)), "grip", "stray")}
             values = {name: round(value, 4) for name, value in told.items() if np.isfinite(value)}
             group = _group(str(row.kind), int(getattr(row, "recordings", 1)))
             kinds.setdefault(group, []).append({"set": row.set, "case": row.case, "statistics": values})

@@ -13,6 +13,7 @@ from ..config import DiagnosisConfig
 from ..effects import Candidate
 from ..ground import sunk
 from .budget import Budget, Detectable, budget, detectable
+from .carried import stray_of
 from .controls import Controls
 from .covariance import Prior, chosen
 from .evidence import Evidence, gathered
@@ -163,10 +164,19 @@ def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:
     kind, marked = e.forward.simulators[0].scene.body.kind, e.forward.blocks[0].is_single
     controls = Controls.of(kind, config, marked=marked, recordings=len(e.forward.simulators)) if usual else None
     founded = Controls.known(kind, marked=marked) or e.from_recordings or e.forward.contrast is not None  # members alone are no null
-    test = significance(
-        e.scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls, narrowed=e.forward.narrowed()
-    )
+    hands = _hands(e, config)
+    test = significance(e.scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls, hands=hands)
     return Tested(prior, test, founded)
+
+
+def _hands(evidence: Evidence, config: DiagnosisConfig) -> dict[str, float]:
+    """What hands tell, by the name of its statistic; nothing of markers, nor of recordings that are compared."""
+    forward = evidence.forward
+    if forward.blocks[0].is_single or forward.contrast is not None:
+        return {}
+    strays = [stray_of(forward.recordings[r].observed(), 1e-3 * config.floor) for r in forward.asked]
+    told = {"grip": forward.narrowed(), "stray": max((one for one in strays if one is not None), default=None)}
+    return {name: value for name, value in told.items() if value is not None}
 
 
 def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances, left: float, usual: np.ndarray) -> Named:

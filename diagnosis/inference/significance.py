@@ -6,7 +6,8 @@ prediction interval of a normal sample. That the best of the whole catalogue was
 Where there are frozen sound recordings of the kind, they say how such logarithms are distributed (``controls``): over all of them, since
 the deviation of a dozen members is itself known to a fifth only. They may also say how much of its motion a sound body's twin
 leaves: where a hand is kept back a twin is fitted to nonsense, among whose members anything is usual. And they may say how far from what
-was told a fit goes: a hand that gives way is made up for by one that holds less, and then leaves no misfit.
+was told a fit goes: a hand that gives way is made up for by one that holds less, and then leaves no misfit. What it holds strays from it
+all the same, which tracks tell without a twin (``carried``).
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class Significance:
     p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
     standardised  what is pooled over controls, by name: logarithms of the recordings' two statistics over the members' geometric means
-                  (misfit, scan), and of the residual over the motion, both RMS (left); ``narrowed`` where hands hold the body (grip)
+                  (misfit, scan), and of the residual over the motion, both RMS (left); what ``hands`` tell
     """
 
     p: float
@@ -83,14 +84,15 @@ def significance(
     motion,
     *,
     controls: Controls | None = None,
-    narrowed: float | None = None,
+    hands: Mapping[str, float] | None = None,
 ) -> Significance:
     """The test of ``residual`` (B,) m, of the fitted block means alone.
 
     noisy (K, B)  the members as they would have been seen; member k is weighed without itself
     motion (B,)   m, of the block means since frame 0
     controls      frozen sound recordings of the kind, or None
-    narrowed      logarithm of how much narrower than was told a hand holds the body where the fit ended, None where none does
+    hands         logarithms that hands tell, by name: of how much narrower than was told one holds the body where the fit ended (grip), and
+                  of how far what one holds strays from where it would be carried (stray)
     """
     rows, away = np.flatnonzero(scatter.layout.fitted), np.flatnonzero(~scatter.layout.fitted)
     held_out, scatter = scatter.only(away), scatter.only(rows)
@@ -108,7 +110,7 @@ def significance(
     (p_misfit, over_misfit), (p_scan, over_scan) = predictive(misfit, misfits), predictive(largest, largests)
     p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
     standardised = {"misfit": over_misfit, "scan": over_scan, "left": left_of(residual, np.asarray(motion)[rows])}
-    standardised |= {} if narrowed is None else {"grip": narrowed}
+    standardised |= hands or {}
     p = controls.p(standardised) if controls else p_members
     return Significance(
         p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls

@@ -99,14 +99,16 @@ class Trials:
 def _likely(test: Significance, catalogue: Sequence[Signature], config: DiagnosisConfig) -> dict[str, list[int]]:
     """By effect, the likeliest first, the index of its likeliest candidate by linear evidence; of places that explain as much, one where
     less of it does. Where it has a place, the likeliest elsewhere is a second one, since a little of an effect may not be told by what
-    much of it does: a weight on the tip of a beam bends it as ten times as much does beside the clamp, and swings otherwise."""
+    much of it does: a weight on the tip of a beam bends it as ten times as much does beside the clamp, and swings otherwise. So it is with
+    which hand gives way, and each of them is one."""
     found: dict[str, list[int]] = {}
     likely = [s.log_evidence for s in test.scores]
     usual = np.array([logs - _unusual(s, one) for logs, s, one in zip(likely, test.scores, catalogue, strict=True)])
     for name in dict.fromkeys(catalogue[k].name for k in np.argsort(-np.array(likely), kind="stable")):
         own = sorted((k for k, one in enumerate(catalogue) if one.name == name), key=lambda k: -usual[k])
         elsewhere = [k for k in own[1:] if usual[k] > usual[own[0]] - WORSE and _apart(catalogue[k], catalogue[own[0]]) > config.astray]
-        found[name] = [own[0], *elsewhere[:1]]
+        hands = {_hand(catalogue[k]): k for k in reversed(own)}  # the likeliest of each
+        found[name] = [own[0], *elsewhere[:1], *(k for hand, k in hands.items() if hand != _hand(catalogue[own[0]]))]
     return found
 
 
@@ -116,6 +118,11 @@ def _in_order(scores: Sequence[Score], led: Mapping[str, float]) -> list[str]:
     for one in scores:
         best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
     return sorted(best, key=lambda name: -best[name])
+
+
+def _hand(one: Signature) -> float | None:
+    """Which hand a candidate is of, by its number; None: of none."""
+    return one.candidate.fixed[one.candidate.effect.hand] if one.candidate.effect.hand else None
 
 
 def _apart(one: Signature, other: Signature) -> float:

@@ -311,6 +311,7 @@ class Simulator:
         """(substeps, rounds) that are stable at ``values`` and at a stiffness and a damping a little above."""
         most = {name: values[name] for name in self.system.values}
         most |= self.scene.body.stiffest(values) | {"grip_rate": rounded_up(most["grip_rate"])}
+        most["grip_hand"] = min(most["grip_hand"], 0.0)  # which hand it is does not matter
         shown = [t for t in self.system.terms if t.stage in (*LIMITING, *EASED)]
         key = tuple(most[p.name] for t in shown for p in t.parameters if not p.name.endswith("friction"))
         if key not in self._known_steps:

@@ -12,7 +12,7 @@ __all__ = ["SoftGrip"]
 
 @wp.func
 def carry(apart: Any, rate: Any, m: Any, hand: Any, p: Any, o: int):
-    one = p[o + 2] < type(m)(0.0) or p[o + 2] == hand
+    one = p[o + 2] < type(m)(-0.5) or wp.abs(p[o + 2] - hand) < type(m)(0.5)
     w = wp.where(one, p[o], p[o + 3])
     z = wp.where(one, p[o + 1], p[o + 4])
     return (apart * w + rate * (type(m)(2.0) * z)) * (m * w)
@@ -29,7 +29,7 @@ class SoftGrip(GripTerm):
     parameters = (
         Parameter("grip_rate", 1000.0, 1.0, 3000.0, "1/s", "angular frequency w of a held mass", "log"),
         Parameter("grip_damping", 0.2, 0.01, 20.0, "-", "damping ratio z of that", "log"),
-        Parameter("grip_hand", -1.0, -1.0, 1e6, "-", "number of the hand that holds so; -1: all do"),
+        Parameter("grip_hand", -1.0, -1.0, 9.0, "-", "number of the hand that holds so; -1: all do"),
         Parameter("firm_rate", 1000.0, 1.0, 3000.0, "1/s", "w of the others", "log"),
         Parameter("firm_damping", 0.2, 0.01, 20.0, "-", "z of the others", "log"),
     )
@@ -37,11 +37,11 @@ class SoftGrip(GripTerm):
 
     @staticmethod
     def hardness(grip_rate, grip_damping, grip_hand, firm_rate, firm_damping):
-        every = [(grip_rate, grip_damping), *([(firm_rate, firm_damping)] if grip_hand >= 0 else [])]
+        every = [(grip_rate, grip_damping), *([(firm_rate, firm_damping)] if grip_hand >= -0.5 else [])]
         return max(w**2 for w, _ in every), max(2 * z * w for w, z in every)
 
     @staticmethod
     def twin(apart, rate, m, hand, grip_rate, grip_damping, grip_hand, firm_rate, firm_damping):
         """The same law in numpy."""
-        w, z = (grip_rate, grip_damping) if grip_hand < 0 or grip_hand == hand else (firm_rate, firm_damping)
+        w, z = (grip_rate, grip_damping) if grip_hand < -0.5 or abs(grip_hand - hand) < 0.5 else (firm_rate, firm_damping)
         return m * w * (w * apart + 2 * z * rate)

@@ -672,8 +672,8 @@ def test_slopes_are_corrected_by_steps_and_not_by_rounding():
 def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
     # two candidates of 30 and 28 nats, the first of which a refit leaves 5: the other has 3, and log((e^5 + e^3) / 2) is less than 10
     scored = [Score(name, 3.0, log, (1.0,), 0.5) for name, log in (("a", 30.0), ("a", 28.0), ("b", 10.0))]
-    effect = SimpleNamespace(amounts=(Amount("much", 0.1, 0.0, 10.0, "-"),), roaming=False)
-    alike = [SimpleNamespace(effect=effect, place=None) for _ in scored]
+    effect = SimpleNamespace(amounts=(Amount("much", 0.1, 0.0, 10.0, "-"),), roaming=False, hand="")
+    alike = [SimpleNamespace(effect=effect, place=None, fixed={"which": float(k > 0)}) for k, _ in enumerate(scored)]
     catalogue = [SimpleNamespace(name=s.name, unit=np.array([0.1]), candidate=c) for s, c in zip(scored, alike, strict=True)]
     test = SimpleNamespace(scores=scored)
     assert next(iter(_chances(test, catalogue, {}))) == "a" and _likely(test, catalogue, DiagnosisConfig()) == {"a": [0], "b": [2]}
@@ -685,6 +685,11 @@ def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
         for k in range(2):
             catalogue[k].candidate.place = np.array([k * far, 0.0, 0.0])
         assert _likely(test, catalogue, DiagnosisConfig())["a"] == expected
+    for k in range(2):
+        catalogue[k].candidate.place = None
+    assert _likely(test, catalogue, DiagnosisConfig())["a"] == [1]
+    effect.hand = "which"  # a little of one hand does not tell what much of the other does
+    assert _likely(test, catalogue, DiagnosisConfig())["a"] == [1, 0]
     found = _chances(test, catalogue, {0: 5.0})
     ratio = (np.exp(5) + np.exp(3)) / 2 / np.exp(10)
     assert list(found) == ["b", "a"] and found["a"] == pytest.approx(ratio / (1 + ratio))

@@ -266,9 +266,10 @@ def test_an_effect_of_a_hand_is_where_that_hand_holds(twin):
     slip = next(e for e in effects("solid") if e.name == "grip_slip")
     nothing: Any = None
     three = slip.candidates(None, hands=(0, 1))[:3]
-    one, _, every = (Named(c, slip.name, "", 1.0, 9.0, {}, {}, None, nothing, 1.0, nothing) for c in three)
+    one, absent, every = (Named(c, slip.name, "", 1.0, 9.0, {}, {}, None, nothing, 1.0, nothing) for c in three)
     found = _where(one, scene)
     assert found is not None and _where(every, scene) is None  # of all hands together it is nowhere
+    assert len(scene.hands) == 1 and _where(absent, scene) is None  # a hand of another recording
     firm = dict(zip(hand.points.tolist(), hand.firmness.tolist(), strict=True))
     assert set(found["points"]) == {p for p, f in firm.items() if f >= 0.5 * max(firm.values())}
     away = np.linalg.norm(scene.structure[found["points"]] - found["centroid"], axis=1)

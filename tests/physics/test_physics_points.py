@@ -261,12 +261,15 @@ def test_what_slid_out_of_a_hand_does_not_come_back():
     np.testing.assert_allclose(moved[1] - moved[0], gone.numpy(), atol=1e-6)
 
 
-def graded(term, memory, scale):
-    """A batch of two bodies that hands pull over a table, with ``term``, every input asking for a gradient, and the gradients there.
+def graded(term, memory, scale, **values):
+    """A batch of two bodies that two hands pull over a table, with ``term`` at some ``values``, every input asking for a gradient, and the
+    gradients there.
 
     What they remember as ``memory`` is some way of ``scale`` m at first.
     """
-    batch = Batch([gradients.solid(term, s) for s in (0, 1)], fps=30, substeps=4 * gradients.SUBSTEPS, double=True, workers=1)
+    batch = Batch(
+        [gradients.solid(term, s).with_values(**values) for s in (0, 1)], fps=30, substeps=4 * gradients.SUBSTEPS, double=True, workers=1
+    )
     generator = torch.Generator().manual_seed(3)
     begun = torch.randn(getattr(batch.inputs, memory).shape, generator=generator, dtype=torch.float64) * scale
     setattr(batch.inputs, memory, begun)
@@ -275,10 +278,10 @@ def graded(term, memory, scale):
     return batch, inputs
 
 
-@pytest.fixture(scope="module")
-def sliding():
+@pytest.fixture(scope="module", params=[-1.0, 1.0], ids=["all hands", "one hand"])
+def sliding(request):
     """Bodies that slide out of their hands, some way from where these took hold of them."""
-    return graded(SlidingHand, "slid", 1e-4)
+    return graded(SlidingHand, "slid", 1e-4, slide_hand=request.param)
 
 
 @pytest.mark.parametrize("name", ["x", "v", "mass", "path", "held", "slid"])
@@ -290,9 +293,9 @@ def test_gradients_with_hands_that_let_slip_are_those_of_differences(sliding, na
     gradients.check(batch, inputs, name, gradients.some(gradient))
 
 
-@pytest.fixture(scope="module")
-def pulled():
-    return graded(SoftGrip, "anchor", 1e-5)
+@pytest.fixture(scope="module", params=[-1.0, 1.0], ids=["all hands", "one hand"])
+def pulled(request):
+    return graded(SoftGrip, "anchor", 1e-5, grip_hand=request.param)
 
 
 @pytest.mark.parametrize("name", ["x", "v", "mass", "path", "load", "held", "anchor"])
