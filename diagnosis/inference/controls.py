@@ -107,7 +107,7 @@ class Controls:
     @cached_property
     def tails(self) -> dict[str, Tail]:
         found = {name: Tail.of(own[np.isfinite(own)]) for name, own in zip(self.names, self.standardised.T, strict=True)}
-        return {name: replace(one, scale=float(np.hypot(one.scale, self.usual.get(name, 0.0)))) for name, one in found.items()}
+        return {name: replace(one, further=self.usual.get(name, 0.0)) for name, one in found.items()}
 
     @cached_property
     def together(self) -> np.ndarray:

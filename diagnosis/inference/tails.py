@@ -19,11 +19,12 @@ CLOSEST = 0.99  # of a correlation in use: what goes together as one is told by 
 
 @dataclass(frozen=True)
 class Tail:
-    """A Student t of one statistic over sound recordings."""
+    """A Student t of one statistic over sound recordings, and a normal error that others may have beside, of deviation ``further``."""
 
     place: float
     scale: float
     degrees: float
+    further: float = 0.0
 
     @classmethod
     def of(cls, values, degrees: Sequence[float] = DEGREES) -> Tail:
@@ -40,13 +41,23 @@ class Tail:
         """p that a sound recording's is as large, of each of ``values``."""
         from scipy.special import stdtr
 
-        return stdtr(self.degrees, (self.place - np.asarray(values, float)) / self.scale)
+        below = self.place - np.asarray(values, float)
+        if not self.further:
+            return stdtr(self.degrees, below / self.scale)
+        at, weights = _nodes()
+        chances = weights * FARTHEST * np.exp(-((FARTHEST * at) ** 2) / 2) / np.sqrt(2 * np.pi)
+        return stdtr(self.degrees, (below[..., None] + self.further * FARTHEST * at) / self.scale) @ chances
 
     def at(self, p: float) -> float:
         """The value that a sound recording's exceeds with probability ``p``."""
+        from scipy.optimize import brentq
         from scipy.stats import t
 
-        return float(t.isf(p, self.degrees, self.place, self.scale))
+        far = t.isf(p, self.degrees)
+        if not self.further:
+            return float(self.place + far * self.scale)
+        wide = (abs(far) + FARTHEST) * (self.scale + self.further)
+        return float(brentq(lambda value: float(self.beyond(value)) - p, self.place - wide, self.place + wide))
 
 
 def _located(values: np.ndarray, degrees: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

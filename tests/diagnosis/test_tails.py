@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm, t
 from twinbench.diagnosis.inference.tails import Tail, any_beyond, going_together
 
@@ -23,6 +24,21 @@ def test_one_recording_far_out_leaves_the_rest_alone():
     moved = np.append(draws[:-1], 8.0)
     assert Tail.of(moved).scale < 1.15 * Tail.of(draws).scale
     assert 1e-4 < Tail.of(moved).beyond(8.0) < 0.03
+
+
+@pytest.mark.parametrize("degrees", [3.0, 30.0])
+@pytest.mark.parametrize("far", [-1.0, 0.5, 2.0, 4.0])
+def test_a_further_error_is_added_to_a_tail(degrees, far):
+    # P(0.2 + 0.12 t + 0.3 z > x), z normal, by scipy's adaptive quadrature; where it is normal as well, about as far as the root of squares
+    tail = Tail(0.2, 0.12, degrees, 0.3)
+    expected, _ = quad(lambda z: norm.pdf(z) * t.sf((far - 0.2 - 0.3 * z) / 0.12, degrees), -12, 12, epsabs=0, epsrel=1e-10, limit=400)
+    assert float(tail.beyond(far)) == pytest.approx(expected, rel=1e-6)
+    assert tail.at(float(tail.beyond(far))) == pytest.approx(far, abs=1e-6)
+    assert tail.beyond([far, far]).shape == (2,)
+
+
+def test_a_further_error_that_is_nothing_changes_nothing():
+    assert Tail(0.2, 0.12, 4.0, 1e-9).beyond(0.7) == pytest.approx(Tail(0.2, 0.12, 4.0).beyond(0.7), rel=1e-6)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
