@@ -18,8 +18,8 @@ class DiagnosisConfig:
                 Chosen by looking at 80 sound ropes, four with drifting tracks and a crushed box, see results/inference.md
     held        how well recordings say how much of a body a hand holds, as a logarithm: to 15 %, half of what a fit grants it, and twice
                 what sound ropes of three engines differ by, all of which are held in one way; see results/inference.md
-    strays      how well recordings say how a hand carries what it holds, as a logarithm: a third more or less, twice what sound recordings
-                of three engines differ by, whose hands are rigid and hold whatever is within a finger's width
+    strays      how well recordings say how a hand carries what it holds, as a logarithm: a third more or less, half as much again as sound
+                recordings of three engines differ by, whose hands are rigid and hold what is near; see results/inference.md
     regions     of a body, whose tracks are averaged: 10 regions x 8 times x 3 components are 240 numbers, as many as a covariance of 300
                 takes in a few milliseconds, and fewer than the independent motions of a body of 50 cells
     times       bins of the fitted frames, a quarter of a second or less each in a recording of 2 s
