@@ -110,11 +110,12 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
     Where a sound twin explains the fitted frames, the body is adequate only if the frames held out say so as well, and if at least half of
     the effects asked would have been found at ``config.motion`` mm; otherwise nothing can be told. Tracks that wander are a fault of the
     measurement, and whether anything else is missing they do not let be seen unless it has a name. So it is where a body lies below the
-    told ground in frame 0, which does not tell whether the ground or all cameras are wrong.
+    told ground in frame 0: whether the ground or all cameras are wrong then, what hands hold may tell.
     """
-    drift, below = (DRIFT,) if _lost(answer, config) else (), tuple(BELOW) if _lies_below(answer) else ()
+    drift, below = (DRIFT,) if _lost(answer, config) else (), tuple(n for n, share in _below(answer).items() if share > 1 - READINGS)
     if _only_lies_below(answer):
-        return "ambiguous", (*below, *drift)
+        alone = "measurement" if below == ("camera_pose",) else "missing"
+        return ("ambiguous" if len((*below, *drift)) > 1 else alone), (*below, *drift)
     if drift and answer.verdict != "named":
         return "measurement", drift
     if answer.verdict == "adequate":
@@ -137,6 +138,15 @@ def verdict_of(answer: Answer, config: DiagnosisConfig) -> tuple[str, tuple[str,
 
 def _lies_below(answer: Answer) -> bool:
     return max(answer.sunk, default=0.0) > 0
+
+
+def _below(answer: Answer) -> dict[str, float]:
+    """Shares of what is wrong where a body lies below the told ground, the larger first; nothing where none does."""
+    if not _lies_below(answer):
+        return {}
+    odds = BELOW | {"camera_pose": BELOW["camera_pose"] * float(np.exp(np.clip(answer.cameras_rather, -50, 50)))}
+    shares = {name: one / sum(odds.values()) for name, one in odds.items()}
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
 def _only_lies_below(answer: Answer) -> bool:
@@ -203,7 +213,7 @@ def chance_of_sound(p: float) -> float:
 
 def _probabilities(answer: Answer, verdict: str, lost: Wander | None) -> dict:
     if _only_lies_below(answer):
-        shares = {name: (1 - RIGHT) * share for name, share in BELOW.items()}
+        shares = {name: (1 - RIGHT) * share for name, share in _below(answer).items()}
         return {name: round(p, 4) for name, p in ({"adequate": RIGHT} | shares | {"unknown": 0.0}).items()}
     if lost and answer.verdict != "named":
         sound = chance_of_sound(lost.p)

@@ -15,6 +15,7 @@ from .fit import floor_of
 from .ground import sunk
 from .hands import held_points
 from .inquiry import Inquiry, Refit
+from .turn import cameras_rather
 
 __all__ = ["MEASUREMENT", "Calibration", "Decision", "Reading", "alike", "calibration", "decide", "readings"]
 
@@ -30,6 +31,7 @@ SETTLED, SHARPER = -20.0, 6.0
 SLID = 1.0  # log of the growth of neighbour distances that deformation alone brings, creases too
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
+TOLD_APART = 2.2  # nats, by which cameras are likelier to be wrong than the ground, or less likely: nine times
 ASIDE = 1.0  # distances between nodes that the free run of such a twin may be off by
 ASTRAY = 3.0  # times the error of its free run where it was fitted: beyond that a twin is no longer the one that was adequate there
 ALIKE = 0.95  # cosine of two effects' unabsorbed directions from which on a recording can hardly tell them apart
@@ -198,14 +200,28 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
     """Faults that show in tracks and hands without any simulation."""
     recordings = [s.replica for s in inquiry.simulators[: 1 + inquiry.transfers]]
     hands = [held for replica in recordings for held in held_points(replica.recording)]
-    deep = max(sunk(replica.recording) for replica in recordings)
+    deep = _deep(inquiry)
     shown = {
         "track_drift": max(replica.sightings.slide for replica in recordings) - SLID,
         "controller_delay": max((held.told - TOLD for held in hands if abs(held.lag) >= LATE), default=0.0),
         "ground_pose": deep,
         "camera_pose": deep,  # all that cameras see is lower than it is
     }
-    return [Reading(effect, "", dict.fromkeys(FEATURES, 0.0) | {f"{effect}_seen": max(0.0, float(size))}) for effect, size in shown.items()]
+    found = [
+        Reading(effect, "", dict.fromkeys(FEATURES, 0.0) | {f"{effect}_seen": max(0.0, float(size))}) for effect, size in shown.items()
+    ]
+    found[-1].features["rather"] = _rather(inquiry)
+    return found
+
+
+def _deep(inquiry: Inquiry) -> float:
+    return max((sunk(s.replica.recording) for s in inquiry.simulators[: 1 + inquiry.transfers]), default=0.0)
+
+
+def _rather(inquiry: Inquiry) -> float:
+    """How much likelier than a ground that is wrong cameras are, by what hands hold (``turn``), where one of them must be; else 0."""
+    recordings = [s.replica.recording for s in inquiry.simulators[: 1 + inquiry.transfers]]
+    return sum(map(cameras_rather, recordings)) if _deep(inquiry) > 0 else 0.0
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
@@ -249,7 +265,7 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
         names.append(reading.effect)
         weights = settled if "settled" in reading.features else c.weights
         value = c.biases.get(reading.key, doubt) + sum(weights.get(k, 0.0) * v for k, v in c.told(reading).items())
-        value += SETTLED * reading.features.get("settled", 0.0)
+        value += SETTLED * reading.features.get("settled", 0.0) + reading.features.get("rather", 0.0)
         values.append(value)
     for name in (NONE, OTHER):
         names.append(name)
@@ -261,10 +277,10 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
 def alike(inquiry: Inquiry) -> list[tuple[str, str]]:
     """Pairs of effects that do the same to the fitted frames, in so far as no turn of the twin's own numbers does it.
 
-    A ground that is lower than it is told is one with cameras that see everything lower.
+    A ground that is lower than it is told is one with cameras that see everything lower, unless what hands hold tells which it is.
     """
     best = inquiry.best().values()
-    pairs = {("camera_pose", "ground_pose")}
+    pairs = {("camera_pose", "ground_pose")} if abs(_rather(inquiry)) < TOLD_APART else set[tuple[str, str]]()
     for one, other in combinations(best, 2):
         if abs(float(one.direction @ other.direction)) > ALIKE and one.hypothesis.effect != other.hypothesis.effect:
             first, second = sorted((one.hypothesis.effect, other.hypothesis.effect))

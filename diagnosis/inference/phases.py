@@ -12,6 +12,7 @@ from ...methods.continuum.twin import ContinuumTwin
 from ..config import DiagnosisConfig
 from ..effects import Candidate
 from ..ground import sunk
+from ..turn import cameras_rather
 from .budget import Budget, Detectable, budget, detectable
 from .carried import stray_of
 from .controls import Controls
@@ -62,7 +63,8 @@ class Named:
 class Answer:
     """verdict: adequate, named, unknown, or unfounded where nothing says how far a sound twin is off; ``probabilities`` of effects, given
     that one of them acts; ``parallel``: names that the recordings cannot tell from the first; ``wandering``: how far tracks stray in each
-    recording that is asked, none of markers; ``sunk``: how clearly the body lies below the told ground in each (``ground.sunk``)."""
+    recording that is asked, none of markers; ``sunk``: how clearly the body lies below the told ground in each (``ground.sunk``), and where
+    it does, how much likelier than the ground cameras are to be wrong (``turn.cameras_rather``)."""
 
     verdict: str
     test: Significance
@@ -76,6 +78,7 @@ class Answer:
     seconds: float
     wandering: tuple[Wander, ...] = ()
     sunk: tuple[float, ...] = ()
+    cameras_rather: float = 0.0
 
 
 def infer(
@@ -140,7 +143,8 @@ def weighed(
         e.forward.cost.runs,
         e.forward.cost.seconds,
         _wandering(e),
-        _sunk(e),
+        below := _sunk(e),
+        _rather(e) if max(below, default=0.0) > 0 else 0.0,
     )
 
 
@@ -154,6 +158,10 @@ def _sunk(evidence: Evidence) -> tuple[float, ...]:
     """Of recordings that are compared, the ground is the same."""
     forward = evidence.forward
     return () if forward.contrast is not None else tuple(sunk(forward.recordings[r].observed()) for r in forward.asked)
+
+
+def _rather(evidence: Evidence) -> float:
+    return sum(cameras_rather(evidence.forward.recordings[r].observed()) for r in evidence.forward.asked)
 
 
 def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:

@@ -139,13 +139,21 @@ def test_a_p_value_leaves_a_sound_twin_its_least_probability():
     assert chance_of_sound(0.9) == chance_of_sound(0.4) == 0.5
 
 
-def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, parallel=(), kinds=("wind",), sunk=()):
+def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, parallel=(), kinds=("wind",), sunk=(), rather=0.0):
     found = [SimpleNamespace(name=f"effect {k}", size=s) for k, s in enumerate(sizes)]
     named = [SimpleNamespace(name=name) for name in kinds]
     chances = {name: 1.0 for name in kinds[:1]} if chances is None else chances
     test = SimpleNamespace(p=0.5, p_held_out=held_out)
     return SimpleNamespace(
-        verdict=verdict, test=test, detectable=found, named=named, probabilities=chances, parallel=parallel, wandering=(), sunk=sunk
+        verdict=verdict,
+        test=test,
+        detectable=found,
+        named=named,
+        probabilities=chances,
+        parallel=parallel,
+        wandering=(),
+        sunk=sunk,
+        cameras_rather=rather,
     )
 
 
@@ -163,6 +171,11 @@ def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, 
         (answer("named", chances={"wind": 0.6, "creep": 0.39, "pressure": 0.01}), "ambiguous", ("wind", "creep")),
         (answer(sunk=(0.0, 0.0)), "adequate", ()),
         (answer("unknown", sunk=(0.0, 0.3)), "ambiguous", ("ground_pose", "camera_pose")),  # below the ground in one of two
+        (answer("unknown", sunk=(0.3,), rather=4.0), "measurement", ("camera_pose",)),  # 0.23 e^4 / 0.77: 0.94 of the two
+        (answer("unknown", sunk=(0.3,), rather=2.0), "ambiguous", ("camera_pose", "ground_pose")),
+        (answer("unknown", sunk=(0.3,), rather=-2.0), "missing", ("ground_pose",)),
+        (answer("unknown", rather=9.0), "unknown", ()),  # where it lies is as told
+        (answer("named", sunk=(0.3,), rather=-2.0), "ambiguous", ("wind", "ground_pose")),
         (answer("named", sunk=(0.3,)), "ambiguous", ("wind", "ground_pose", "camera_pose")),
         (answer("named", kinds=("ground_pose",), sunk=(0.3,)), "ambiguous", ("ground_pose", "camera_pose")),
     ],
@@ -246,6 +259,7 @@ def test_what_has_no_name_says_what_the_likeliest_lacks():
                 for left, nats, share in named
             ],
             sunk=(),
+            cameras_rather=0.0,
         )
 
     config = DiagnosisConfig()

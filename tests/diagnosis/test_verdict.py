@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from twinbench.diagnosis import verdict
 from twinbench.diagnosis.hypotheses import catalogue
 from twinbench.diagnosis.springs import NAMES
 from twinbench.diagnosis.verdict import (
@@ -85,12 +86,19 @@ def test_what_a_recording_cannot_tell_apart_is_said_together(second, pairs, verd
     assert verdict_of(chances, RULES, "sheet", pairs) == verdict
 
 
-def test_effects_with_one_direction_are_alike():
+def test_effects_with_one_direction_are_alike(monkeypatch):
     # cosines 1, 0.8 and 0: only the first pair exceeds 0.95; two terms of one effect are no pair
     ways = {"wind": [1.0, 0.0], "gravity_tilt": [-1.0, 0.0], "creep": [0.8, 0.6], "second": [1.0, 0.0]}
     names = {"second": "wind"}
     best = {t: SimpleNamespace(direction=np.array(way), hypothesis=SimpleNamespace(effect=names.get(t, t))) for t, way in ways.items()}
-    assert alike(SimpleNamespace(best=lambda: best)) == [("camera_pose", "ground_pose"), ("gravity_tilt", "wind")]
+    inquiry = SimpleNamespace(best=lambda: best, simulators=[], transfers=0)
+    assert alike(inquiry) == [("camera_pose", "ground_pose"), ("gravity_tilt", "wind")]
+    # what hands of two recordings say is added; with e^2.2 for either a ground is no longer a camera
+    inquiry.simulators, inquiry.transfers = 2 * [SimpleNamespace(replica=SimpleNamespace(recording=None))], 1
+    monkeypatch.setattr(verdict, "sunk", lambda recording: 1.0)
+    for each, together in ((1.0, True), (1.2, False), (-1.2, False)):
+        monkeypatch.setattr(verdict, "cameras_rather", lambda recording, each=each: each)
+        assert (("camera_pose", "ground_pose") in alike(inquiry)) is together
 
 
 def test_probabilities_are_a_softmax_of_weighted_features():

@@ -80,7 +80,15 @@ def answer(verdict, p):
     sizes = [SimpleNamespace(name="wind", size=3.0)]
     lost = (Wander(np.r_[np.full(9, 1e-3), 0.03], p),)
     return SimpleNamespace(
-        verdict=verdict, test=test, detectable=sizes, named=named, probabilities={"wind": 1.0}, parallel=(), wandering=lost, sunk=()
+        verdict=verdict,
+        test=test,
+        detectable=sizes,
+        named=named,
+        probabilities={"wind": 1.0},
+        parallel=(),
+        wandering=lost,
+        sunk=(),
+        cameras_rather=0.0,
     )
 
 
