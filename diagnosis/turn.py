@@ -7,6 +7,7 @@ count that go with the hand best, all by the same turn.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ GONE, SEEN = 0.02, 6  # m that a hand must have carried a track, frames in which
 ALIKE = 8  # frames in a row and tracks side by side that err as one
 USUAL = np.radians(4.0)  # deviation of a turn of cameras that are wrong
 ROUNDS = 12
+ALL = 0.5  # of wrong cameras are so all alike
 # mean and deviation of how clear a turn is: of 110 sound ropes, blocks and cloths, -0.42 at most, and of the same whose tracks were turned
 # by 1, 2 and 4 degrees and moved by 1 cm for each
 SOUND, WRONG = (-1.65, 0.63), (0.63, 0.78)
@@ -80,9 +82,13 @@ def _turn(carried, gone, pace) -> Turn | None:
     return Turn(sizes[:3], float(0.5 * np.log((np.mean(moved) + 1e-12) / square)))
 
 
-def cameras_rather(recording: Observed) -> float:
-    """Logarithm of how much likelier what is seen beside hands is if all cameras are wrong than if the ground is; 0 where no hand tells."""
+def cameras_rather(recordings: Sequence[Observed]) -> float:
+    """Logarithm of how much likelier what is seen beside hands is if cameras are wrong than if the ground is; 0 where no hand tells.
+
+    Where one camera of several is wrong, hands that others see say nothing of it: that nothing is turned speaks for the ground a little.
+    """
     from scipy.stats import norm
 
-    turn = turn_of(recording)
-    return 0.0 if turn is None else float(norm.logpdf(turn.clear, *WRONG) - norm.logpdf(min(turn.clear, WRONG[0]), *SOUND))
+    turns = [turn.clear for turn in map(turn_of, recordings) if turn]
+    every = sum(float(norm.logpdf(clear, *WRONG) - norm.logpdf(min(clear, WRONG[0]), *SOUND)) for clear in turns)
+    return float(np.logaddexp(np.log(ALL) + every, np.log(1 - ALL))) if turns else 0.0

@@ -31,7 +31,7 @@ SETTLED, SHARPER = -20.0, 6.0
 SLID = 1.0  # log of the growth of neighbour distances that deformation alone brings, creases too
 LATE, TOLD = 1.0, 0.2  # frames of lag, and log of what it takes off the strays beside a hand, that bending near a hand alone brings
 FINE, AT_EASE = 1.0, 5.0  # log of the mean square error over what a twin is asked for, below which there is nothing to explain; log odds
-TOLD_APART = 2.2  # nats, by which cameras are likelier to be wrong than the ground, or less likely: nine times
+TOLD_APART = 2.2  # nats, by which cameras are likelier to be wrong than the ground: nine times
 ASIDE = 1.0  # distances between nodes that the free run of such a twin may be off by
 ASTRAY = 3.0  # times the error of its free run where it was fitted: beyond that a twin is no longer the one that was adequate there
 ALIKE = 0.95  # cosine of two effects' unabsorbed directions from which on a recording can hardly tell them apart
@@ -221,7 +221,7 @@ def _deep(inquiry: Inquiry) -> float:
 def _rather(inquiry: Inquiry) -> float:
     """How much likelier than a ground that is wrong cameras are, by what hands hold (``turn``), where one of them must be; else 0."""
     recordings = [s.replica.recording for s in inquiry.simulators[: 1 + inquiry.transfers]]
-    return sum(map(cameras_rather, recordings)) if _deep(inquiry) > 0 else 0.0
+    return cameras_rather(recordings) if _deep(inquiry) > 0 else 0.0
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
@@ -280,7 +280,7 @@ def alike(inquiry: Inquiry) -> list[tuple[str, str]]:
     A ground that is lower than it is told is one with cameras that see everything lower, unless what hands hold tells which it is.
     """
     best = inquiry.best().values()
-    pairs = {("camera_pose", "ground_pose")} if abs(_rather(inquiry)) < TOLD_APART else set[tuple[str, str]]()
+    pairs = {("camera_pose", "ground_pose")} if _rather(inquiry) < TOLD_APART else set[tuple[str, str]]()
     for one, other in combinations(best, 2):
         if abs(float(one.direction @ other.direction)) > ALIKE and one.hypothesis.effect != other.hypothesis.effect:
             first, second = sorted((one.hypothesis.effect, other.hypothesis.effect))

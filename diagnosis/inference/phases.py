@@ -161,7 +161,7 @@ def _sunk(evidence: Evidence) -> tuple[float, ...]:
 
 
 def _rather(evidence: Evidence) -> float:
-    return sum(cameras_rather(evidence.forward.recordings[r].observed()) for r in evidence.forward.asked)
+    return cameras_rather([evidence.forward.recordings[r].observed() for r in evidence.forward.asked])
 
 
 def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:

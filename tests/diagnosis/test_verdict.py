@@ -93,11 +93,11 @@ def test_effects_with_one_direction_are_alike(monkeypatch):
     best = {t: SimpleNamespace(direction=np.array(way), hypothesis=SimpleNamespace(effect=names.get(t, t))) for t, way in ways.items()}
     inquiry = SimpleNamespace(best=lambda: best, simulators=[], transfers=0)
     assert alike(inquiry) == [("camera_pose", "ground_pose"), ("gravity_tilt", "wind")]
-    # what hands of two recordings say is added; with e^2.2 for either a ground is no longer a camera
+    # with e^2.2 for cameras a ground is no longer one of them; nothing speaks as clearly against them
     inquiry.simulators, inquiry.transfers = 2 * [SimpleNamespace(replica=SimpleNamespace(recording=None))], 1
     monkeypatch.setattr(verdict, "sunk", lambda recording: 1.0)
-    for each, together in ((1.0, True), (1.2, False), (-1.2, False)):
-        monkeypatch.setattr(verdict, "cameras_rather", lambda recording, each=each: each)
+    for each, together in ((-0.7, True), (2.1, True), (2.3, False)):
+        monkeypatch.setattr(verdict, "cameras_rather", lambda recordings, each=each: each)
         assert (("camera_pose", "ground_pose") in alike(inquiry)) is together
 
 
