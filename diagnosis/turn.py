@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..datasets.scenario import Observed
-from ..methods.continuum.hands import frames_of, groups_of, steadied
+from .carried import FEWEST, beside
 
 __all__ = ["Turn", "cameras_rather", "turn_of"]
 
-NEAR, MOST, FEWEST = 0.09, 60, 4  # m around a hand's points in frame 0, and tracks there, the nearest ones
+NEAR, MOST = 0.09, 60  # m around a hand's points in frame 0, and tracks there, the nearest ones
 HELD = 4  # one track in so many goes with the hand
-GONE, SEEN = 0.02, 6  # m that a hand must have carried a track, frames in which that must be seen
+SEEN = 6  # frames in which a track must be seen there
 ALIKE = 8  # frames in a row and tracks side by side that err as one
 USUAL = np.radians(4.0)  # deviation of a turn of cameras that are wrong
 ROUNDS = 12
@@ -39,26 +39,13 @@ class Turn:
 
 def turn_of(recording: Observed) -> Turn | None:
     """By the hand that tells it most clearly; None where no hand's points tell how it moves and turns, or too few tracks are around."""
-    from scipy.spatial import cKDTree
-
-    frames, found = recording.observed_frames, []
-    points = np.where(recording.visible[:frames, :, None], recording.points[:frames], np.nan)
-    begun = np.flatnonzero(recording.visible[0])
-    for members in groups_of(recording.controllers) if len(begun) else ():
-        hand = recording.controllers[:frames, members]
-        rotation, centre, told = frames_of(hand)
-        if told != "all" or (recording.grips[members] >= 0).any():
-            continue
-        far = cKDTree(hand[0]).query(points[0, begun])[0]
-        near = begun[[k for k in np.argsort(far)[:MOST] if far[k] < NEAR]]
-        there = np.einsum("tij,nj->tni", steadied(rotation, recording.fps), points[0, near] - centre[0]) + centre[:, None]
-        found.append(_turn(there - points[0, near], points[:, near] - points[0, near], np.gradient(there, axis=0)))
+    found = (_turn(one.carried, one.gone) for one in beside(recording, NEAR, MOST))
     return max((one for one in found if one), key=lambda one: one.clear, default=None)
 
 
-def _turn(carried, gone, pace) -> Turn | None:
-    """Of tracks that a hand would have ``carried`` (T, n, 3) [m] at a ``pace`` [m a frame], and that are ``gone`` [m], NaN unseen."""
-    told = np.isfinite(gone).all(2) & (np.linalg.norm(carried, axis=2) > GONE)
+def _turn(carried, gone) -> Turn | None:
+    """Of tracks that a hand would have ``carried`` (T, n, 3) [m], and that are ``gone`` [m], NaN where that says nothing."""
+    told, pace = np.isfinite(gone).all(2), np.gradient(carried, axis=0)
     kept = told.sum(0) >= SEEN
     if kept.sum() < FEWEST:
         return None

@@ -9,12 +9,12 @@ import numpy as np
 
 from ...datasets.scenario import Scenario
 from ...methods.continuum.twin import ContinuumTwin
+from ..carried import stray_of
 from ..config import DiagnosisConfig
 from ..effects import Candidate
 from ..ground import sunk
 from ..turn import cameras_rather
 from .budget import Budget, Detectable, budget, detectable
-from .carried import stray_of
 from .controls import Controls
 from .covariance import Prior, chosen
 from .evidence import Evidence, gathered
@@ -130,7 +130,7 @@ def weighed(
     confirmed = bool(named) and shortcoming(named[0], config) is None
     verdict = "unfounded" if not found.founded else "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
-    first = next((s for s, r in best if named and r is named[0].refit), None)
+    first, below = next((s for s, r in best if named and r is named[0].refit), None), _sunk(e)
     return Answer(
         verdict,
         test,
@@ -143,7 +143,7 @@ def weighed(
         e.forward.cost.runs,
         e.forward.cost.seconds,
         _wandering(e),
-        below := _sunk(e),
+        below,
         _rather(e) if max(below, default=0.0) > 0 else 0.0,
     )
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from carrying import FRAMES, held
-from twinbench.diagnosis.inference.carried import FEWEST, GONE, beside, stray_of
+from twinbench.diagnosis.carried import FEWEST, GONE, beside, stray_of
 
 FLOOR = 1e-3
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...datasets.scenario import Observed
-from ...methods.continuum.hands import frames_of, groups_of, steadied
+from ..datasets.scenario import Observed
+from ..methods.continuum.hands import frames_of, groups_of, steadied
 
 __all__ = ["Beside", "beside", "stray_of"]
 
@@ -34,8 +34,9 @@ class Beside:
     own: float
 
 
-def beside(recording: Observed) -> Iterator[Beside]:
-    """Of each hand whose points tell how it moves and turns, and that drives no marker, if enough tracks are beside it."""
+def beside(recording: Observed, within: float = NEAR, most: int = MOST) -> Iterator[Beside]:
+    """Of each hand whose points tell how it moves and turns, and that drives no marker, the ``most`` tracks that are nearest to it in frame
+    0 and ``within`` m of its points, if there are enough."""
     from scipy.spatial import cKDTree
 
     frames = recording.observed_frames
@@ -48,7 +49,7 @@ def beside(recording: Observed) -> Iterator[Beside]:
             continue
         rotation = steadied(rotation, recording.fps)
         far = cKDTree(hand[0]).query(points[0, begun])[0]
-        near = begun[[k for k in np.argsort(far)[:MOST] if far[k] < NEAR]]
+        near = begun[[k for k in np.argsort(far)[:most] if far[k] < within]]
         if len(near) < FEWEST:
             continue
         there, own = (np.einsum("tij,nj->tni", rotation, at - centre[0]) + centre[:, None] for at in (points[0, near], hand[0]))
