@@ -1,8 +1,8 @@
 """How well what a hand holds goes with it, told by tracks alone: what is held firmly is carried as one with its hand.
 
 Tracks beside a hand are compared with where its rigid motion would carry them. What they stray from there is told in the hand's own strays,
-its points' from that motion, which noise and soft fingers make: a hand that gives way, lets slip, or is reported late or in other axes,
-leaves more. That a twin's fit makes up for it by a grip that holds less, or elsewhere, does not touch it.
+its points' from that motion, which noise and soft fingers make, or in the noise of tracks: a hand that gives way, lets slip, or is reported
+late or in other axes, leaves more. That a twin's fit makes up for it by a grip that holds less, or elsewhere, does not touch it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 
 from ..datasets.scenario import Observed
 from ..methods.continuum.hands import frames_of, groups_of, steadied
+from .sightings import noise_of
 
 __all__ = ["Beside", "beside", "stray_of"]
 
@@ -27,7 +28,8 @@ SEEN = 4  # frames in which a track must be seen there
 @dataclass(frozen=True, eq=False)
 class Beside:
     """Tracks beside one hand: how far it would have ``carried`` them from frame 0 (T, n, 3) m, and how far they went, ``gone`` (T, n, 3) m,
-    NaN where they were not seen or it had not carried them far; ``own`` m, RMS of the hand's points from its rigid motion."""
+    NaN where they were not seen or it had not carried them far; ``own`` m, RMS of the hand's points from its rigid motion, or the noise of
+    tracks where that is more, as of a hand whose path a robot tells."""
 
     carried: np.ndarray
     gone: np.ndarray
@@ -41,7 +43,7 @@ def beside(recording: Observed, within: float = NEAR, most: int = MOST) -> Itera
 
     frames = recording.observed_frames
     points = np.where(recording.visible[:frames, :, None], recording.points[:frames], np.nan)
-    begun = np.flatnonzero(recording.visible[0])
+    begun, noise = np.flatnonzero(recording.visible[0]), np.sqrt(3) * noise_of(points)
     for members in groups_of(recording.controllers) if len(begun) else ():
         hand = recording.controllers[:frames, members]
         rotation, centre, told = frames_of(hand)
@@ -55,7 +57,7 @@ def beside(recording: Observed, within: float = NEAR, most: int = MOST) -> Itera
         there, own = (np.einsum("tij,nj->tni", rotation, at - centre[0]) + centre[:, None] for at in (points[0, near], hand[0]))
         carried, gone = there - points[0, near], points[:, near] - points[0, near]
         gone[np.linalg.norm(carried, axis=2) < GONE] = np.nan
-        yield Beside(carried, gone, float(np.sqrt(np.mean(np.sum((hand - own) ** 2, 2)))))
+        yield Beside(carried, gone, max(float(np.sqrt(np.mean(np.sum((hand - own) ** 2, 2)))), noise))
 
 
 def stray_of(recording: Observed, floor: float) -> float | None:
