@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..datasets.scenario import Observed
-from ..methods.continuum.hands import frames_of, groups_of, steadied
+from ..methods.continuum.hands import carry, frames_of, groups_of, steadied
 from .sightings import noise_of
 
 __all__ = ["Beside", "beside", "stray_of"]
@@ -54,7 +54,7 @@ def beside(recording: Observed, within: float = NEAR, most: int = MOST) -> Itera
         near = begun[[k for k in np.argsort(far)[:most] if far[k] < within]]
         if len(near) < FEWEST:
             continue
-        there, own = (np.einsum("tij,nj->tni", rotation, at - centre[0]) + centre[:, None] for at in (points[0, near], hand[0]))
+        there, own = (carry(rotation, centre, at) for at in (points[0, near], hand[0]))
         carried, gone = there - points[0, near], points[:, near] - points[0, near]
         gone[np.linalg.norm(carried, axis=2) < GONE] = np.nan
         yield Beside(carried, gone, max(float(np.sqrt(np.mean(np.sum((hand - own) ** 2, 2)))), noise))

@@ -88,7 +88,7 @@ def ask_springs(
     )
     found, weights = readings(inquiry), weights or calibration()
     around = context(inquiry, found)
-    pairs = alike(inquiry)
+    pairs = alike(inquiry, found)
     decision = decide(found, around, weights, pairs)
     chosen = next((r for r in inquiry.refits if decision.chosen and r.score.hypothesis.term.name == decision.chosen.term), None)
     before = inquiry.free(inquiry.base)

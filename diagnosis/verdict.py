@@ -200,7 +200,7 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
     """Faults that show in tracks and hands without any simulation."""
     recordings = [s.replica for s in inquiry.simulators[: 1 + inquiry.transfers]]
     hands = [held for replica in recordings for held in held_points(replica.recording)]
-    deep = _deep(inquiry)
+    deep = max(sunk(replica.recording) for replica in recordings)
     shown = {
         "track_drift": max(replica.sightings.slide for replica in recordings) - SLID,
         "controller_delay": max((held.told - TOLD for held in hands if abs(held.lag) >= LATE), default=0.0),
@@ -210,18 +210,9 @@ def _tracks(inquiry: Inquiry) -> list[Reading]:
     found = [
         Reading(effect, "", dict.fromkeys(FEATURES, 0.0) | {f"{effect}_seen": max(0.0, float(size))}) for effect, size in shown.items()
     ]
-    found[-1].features["rather"] = _rather(inquiry)
+    if deep > 0:  # the ground or cameras must be wrong, and what hands hold tells which
+        found[-1].features["rather"] = cameras_rather([replica.recording for replica in recordings])
     return found
-
-
-def _deep(inquiry: Inquiry) -> float:
-    return max((sunk(s.replica.recording) for s in inquiry.simulators[: 1 + inquiry.transfers]), default=0.0)
-
-
-def _rather(inquiry: Inquiry) -> float:
-    """How much likelier than a ground that is wrong cameras are, by what hands hold (``turn``), where one of them must be; else 0."""
-    recordings = [s.replica.recording for s in inquiry.simulators[: 1 + inquiry.transfers]]
-    return cameras_rather(recordings) if _deep(inquiry) > 0 else 0.0
 
 
 def context(inquiry: Inquiry, found: Sequence[Reading]) -> dict[str, float]:
@@ -274,13 +265,14 @@ def scores(found: Sequence[Reading], around: Mapping[str, float], c: Calibration
     return names, np.array(values)
 
 
-def alike(inquiry: Inquiry) -> list[tuple[str, str]]:
+def alike(inquiry: Inquiry, found: Sequence[Reading]) -> list[tuple[str, str]]:
     """Pairs of effects that do the same to the fitted frames, in so far as no turn of the twin's own numbers does it.
 
     A ground that is lower than it is told is one with cameras that see everything lower, unless what hands hold tells which it is.
     """
-    best = inquiry.best().values()
-    pairs = {("camera_pose", "ground_pose")} if _rather(inquiry) < TOLD_APART else set[tuple[str, str]]()
+    best, pairs = inquiry.best().values(), set[tuple[str, str]]()
+    if sum(one.features.get("rather", 0.0) for one in found) < TOLD_APART:
+        pairs.add(("camera_pose", "ground_pose"))
     for one, other in combinations(best, 2):
         if abs(float(one.direction @ other.direction)) > ALIKE and one.hypothesis.effect != other.hypothesis.effect:
             first, second = sorted((one.hypothesis.effect, other.hypothesis.effect))

@@ -182,7 +182,7 @@ def _hands(evidence: Evidence, config: DiagnosisConfig) -> dict[str, float]:
     forward = evidence.forward
     if forward.blocks[0].is_single or forward.contrast is not None:
         return {}
-    strays = [stray_of(forward.recordings[r].observed(), 1e-3 * config.floor) for r in forward.asked]
+    strays = (stray_of(forward.recordings[r].observed(), 1e-3 * config.floor) for r in forward.asked)
     told = {"grip": forward.narrowed(), "stray": max((one for one in strays if one is not None), default=None)}
     return {name: value for name, value in told.items() if value is not None}
 

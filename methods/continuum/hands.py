@@ -10,7 +10,7 @@ import numpy as np
 from ...datasets.scenario import Observed
 from .held import firmness_of
 
-__all__ = ["Hand", "bar_of", "frames_of", "groups_of", "hands_of", "labels_of", "steadied"]
+__all__ = ["Hand", "bar_of", "carry", "frames_of", "groups_of", "hands_of", "labels_of", "steadied"]
 
 HAND = 0.05  # m, between neighbouring controllers of one hand, at all times
 MOMENTS = 32  # frames in which that is looked up
@@ -45,7 +45,12 @@ class Hand:
 
     def carried(self, points) -> np.ndarray:
         """(T, n, 3) m, where ``points`` (n, 3) of frame 0 would be were they carried along."""
-        return np.einsum("tij,nj->tni", self.rotation, np.asarray(points) - self.centre[0]) + self.centre[:, None]
+        return carry(self.rotation, self.centre, points)
+
+
+def carry(rotation, centre, points) -> np.ndarray:
+    """(T, n, 3) m, where a rigid motion by ``rotation`` (T, 3, 3) since frame 0 about a ``centre`` (T, 3) m takes ``points`` (n, 3) m."""
+    return np.einsum("tij,nj->tni", rotation, np.asarray(points) - centre[0]) + centre[:, None]
 
 
 def hands_of(recording: Observed, *, radius: float | None = None) -> tuple[Hand, ...]:
@@ -95,7 +100,7 @@ def frames_of(points) -> tuple[np.ndarray, np.ndarray, str]:
     for _ in range(ROUNDS if len(home) > 3 else 1):
         centre = np.einsum("c,tcd->td", weight, points)
         rotation = _rotations(points - centre[:, None], weight, told)
-        carried = np.einsum("tij,cj->tci", rotation, home - centre[0]) + centre[:, None]
+        carried = carry(rotation, centre, home)
         stray = np.sqrt(np.mean(np.sum((points - carried) ** 2, axis=2), axis=0))
         scale = max(2 * float(np.median(stray)), 1e-6)
         weight = 1 / (1 + (stray / scale) ** 2)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..hands import is_meant, meant
 from ..parameters import Parameter
 from ..relaxation import settled
 from .base import Effect
@@ -17,10 +18,9 @@ NOTHING = wp.constant(1.0e-12)  # m, and m/s^2: of which nothing is a share
 
 @wp.func
 def slide(apart: Any, pull: Any, m: Any, hand: Any, slid: Any, dt: Any, p: Any, o: int):
-    one = p[o + 3] < type(m)(-0.5) or wp.abs(p[o + 3] - hand) < type(m)(0.5)
     far, pulled = wp.length(apart), wp.length(pull) / m
     beyond = wp.max(pulled - p[o + 1] * p[o + 2], type(m)(0.0)) / wp.max(pulled, type(m)(NOTHING))
-    rate = wp.where(one, p[o], type(m)(0.0)) * pulled / (p[o + 2] * wp.max(far, type(m)(NOTHING)))
+    rate = wp.where(meant(p[o + 3], hand), p[o], type(m)(0.0)) * pulled / (p[o + 2] * wp.max(far, type(m)(NOTHING)))
     return slid + apart * (beyond * settled(rate * dt))
 
 
@@ -54,7 +54,7 @@ class SlidingHand(SlipTerm):
     @staticmethod
     def twin(apart, pull, m, hand, slid, dt, slide_speed, slide_weights, slide_burden, slide_hand):
         """The same law in numpy."""
-        slide_speed = slide_speed if slide_hand < -0.5 or abs(slide_hand - hand) < 0.5 else 0.0
+        slide_speed = slide_speed if is_meant(slide_hand, hand) else 0.0
         far, pulled = float(np.linalg.norm(apart)), float(np.linalg.norm(pull)) / m
         beyond = max(0.0, pulled - slide_weights * slide_burden) / max(pulled, 1e-12)
         return slid - apart * beyond * np.expm1(-slide_speed * pulled / (slide_burden * max(far, 1e-12)) * dt)

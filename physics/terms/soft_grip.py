@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from ..hands import is_meant, meant
 from ..parameters import Parameter
 from .stages import GripTerm
 
@@ -12,7 +13,7 @@ __all__ = ["SoftGrip"]
 
 @wp.func
 def carry(apart: Any, rate: Any, m: Any, hand: Any, p: Any, o: int):
-    one = p[o + 2] < type(m)(-0.5) or wp.abs(p[o + 2] - hand) < type(m)(0.5)
+    one = meant(p[o + 2], hand)
     w = wp.where(one, p[o], p[o + 3])
     z = wp.where(one, p[o + 1], p[o + 4])
     return (apart * w + rate * (type(m)(2.0) * z)) * (m * w)
@@ -43,5 +44,5 @@ class SoftGrip(GripTerm):
     @staticmethod
     def twin(apart, rate, m, hand, grip_rate, grip_damping, grip_hand, firm_rate, firm_damping):
         """The same law in numpy."""
-        w, z = (grip_rate, grip_damping) if grip_hand < -0.5 or abs(grip_hand - hand) < 0.5 else (firm_rate, firm_damping)
+        w, z = (grip_rate, grip_damping) if is_meant(grip_hand, hand) else (firm_rate, firm_damping)
         return m * w * (w * apart + 2 * z * rate)

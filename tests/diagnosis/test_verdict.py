@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twinbench.diagnosis import verdict
 from twinbench.diagnosis.hypotheses import catalogue
 from twinbench.diagnosis.springs import NAMES
 from twinbench.diagnosis.verdict import (
@@ -86,19 +85,17 @@ def test_what_a_recording_cannot_tell_apart_is_said_together(second, pairs, verd
     assert verdict_of(chances, RULES, "sheet", pairs) == verdict
 
 
-def test_effects_with_one_direction_are_alike(monkeypatch):
+def test_effects_with_one_direction_are_alike():
     # cosines 1, 0.8 and 0: only the first pair exceeds 0.95; two terms of one effect are no pair
     ways = {"wind": [1.0, 0.0], "gravity_tilt": [-1.0, 0.0], "creep": [0.8, 0.6], "second": [1.0, 0.0]}
     names = {"second": "wind"}
     best = {t: SimpleNamespace(direction=np.array(way), hypothesis=SimpleNamespace(effect=names.get(t, t))) for t, way in ways.items()}
-    inquiry = SimpleNamespace(best=lambda: best, simulators=[], transfers=0)
-    assert alike(inquiry) == [("camera_pose", "ground_pose"), ("gravity_tilt", "wind")]
+    inquiry = SimpleNamespace(best=lambda: best)
+    assert alike(inquiry, []) == [("camera_pose", "ground_pose"), ("gravity_tilt", "wind")]
     # with e^2.2 for cameras a ground is no longer one of them; nothing speaks as clearly against them
-    inquiry.simulators, inquiry.transfers = 2 * [SimpleNamespace(replica=SimpleNamespace(recording=None))], 1
-    monkeypatch.setattr(verdict, "sunk", lambda recording: 1.0)
-    for each, together in ((-0.7, True), (2.1, True), (2.3, False)):
-        monkeypatch.setattr(verdict, "cameras_rather", lambda recordings, each=each: each)
-        assert (("camera_pose", "ground_pose") in alike(inquiry)) is together
+    for rather, together in ((-0.7, True), (2.1, True), (2.3, False)):
+        found = [Reading("ground_pose", "", {}), Reading("camera_pose", "", {"rather": rather})]
+        assert (("camera_pose", "ground_pose") in alike(inquiry, found)) is together
 
 
 def test_probabilities_are_a_softmax_of_weighted_features():
