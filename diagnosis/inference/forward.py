@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 from ...datasets.scenario import Scenario
 from ...methods.continuum.config import Config
-from ...methods.continuum.estimate import own_values, steps_of
+from ...methods.continuum.estimate import own_values, run_once, steps_of
 from ...methods.continuum.joint import placed
 from ...methods.continuum.scene import Scene
 from ...methods.continuum.simulate import Simulator
@@ -182,13 +182,14 @@ class Forward:
             hushed = self.acting if r in self.sound else ()
             values = [{name: v for name, v in row.items() if name not in hushed} for row in rows]
             frames = len(blocks.points) if self.after is None else self.recordings[r].split.train_end
-            found.append(self._ran(runner, [own_values({**self.told, **row}, r) for row in values], frames))
-        self.cost.runs += len(rows) * len(self.simulators)
+            own = [own_values({**self.told, **row}, r) for row in values]
+            found.append(run_once(own, lambda alone, runner=runner, frames=frames: self._ran(runner, alone, frames)))
         self.cost.seconds += time.process_time() - begun
         return found
 
     def _ran(self, runner: Simulator, values, frames: int) -> np.ndarray:
-        """(K, frames, M, 3) m, those of one scene together."""
+        """(K, frames, M, 3) m, those of one scene together; they are counted."""
+        self.cost.runs += len(values)
         scenes = [reduce(lambda scene, seen, row=row: seen(scene, row), self.seen, runner.scene) for row in values]
         moved = [k for k, scene in enumerate(scenes) if scene is not runner.scene]
         usual = [k for k in range(len(values)) if k not in moved]

@@ -39,7 +39,8 @@ def axis_of(points, spacing: float, width: float) -> tuple[np.ndarray, float]:
     axis = resampled(curve, max(2, round((high - low) / (0.5 * step)) + 1), low, high)
     if (turned := _turned(axis)) > TURNED:
         raise ValueError(
-            f"a rope's points must follow one line, got one that turns back by {turned:.0f} degrees: they lie in two lines side by side"
+            f"a rope's points must follow one line, got one that turns back by {turned:.0f} degrees: they lie in two lines "
+            "side by side, as where cameras do not agree"
         )
     return axis, float(np.quantile(apart, SKIN))
 

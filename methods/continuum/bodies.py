@@ -237,4 +237,13 @@ def bodies_of(recordings: Sequence[Observed], *, kind: str | None = None, times:
     told = [body_of(recordings[0], kind=kind)]
     told += [body_of(one, kind=told[0].kind) for one in recordings[1:]]
     made = class_of(told[0].kind, elements)
-    return made.joined([made.of(one, body, times) for one, body in zip(recordings, told, strict=True)], recordings)
+    return made.joined([_made(made, one, body, times) for one, body in zip(recordings, told, strict=True)], recordings)
+
+
+def _made(made: type[Body], recording: Observed, told: SolidBody, times: float) -> Body:
+    """Raises ValueError that names the recording of which no body can be made."""
+    try:
+        return made.of(recording, told, times)
+    except ValueError as error:
+        where = f" (scenario {recording.name})"
+        raise ValueError(str(error) if where in str(error) else f"{error}{where}") from error

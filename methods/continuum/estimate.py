@@ -21,7 +21,7 @@ from .sights import CloudSight, Sight, regions_of, sight_of
 from .simulate import Simulator
 from .unknowns import Unknown, members
 
-__all__ = ["Estimate", "estimate", "horizon", "own_values", "run_within", "steps_of", "unknowns_of"]
+__all__ = ["Estimate", "estimate", "horizon", "own_values", "run_once", "run_within", "steps_of", "unknowns_of"]
 
 WIDTH = 0.1  # s, over which what can be predicted is smoothed
 REGIONS = 12  # in which tracks move together, and so count once
@@ -76,6 +76,16 @@ def own_values(values: dict, record: int) -> dict:
     """``values`` as the scene of a recording names them."""
     prefix = f"rec{record}_"
     return {name.removeprefix(prefix): v for name, v in values.items() if name.startswith(prefix) or not name.startswith("rec")}
+
+
+def run_once(rows: Sequence[dict], run: Callable[[list[dict]], np.ndarray]) -> np.ndarray:
+    """(K, ...) what ``run`` says of ``rows`` (K,) of values, of which those that are alike are run once.
+
+    Of several recordings many are: numbers of one recording's own are turned there alone.
+    """
+    first: dict[tuple, int] = {}
+    which = [first.setdefault(tuple((name, np.asarray(row[name]).tobytes()) for name in sorted(row)), len(first)) for row in rows]
+    return run([rows[which.index(k)] for k in range(len(first))])[which]
 
 
 def steps_of(simulators: Sequence[Simulator], values: dict[str, float]) -> int:
@@ -232,8 +242,8 @@ class Task:
         """(B, R) m, of dicts of values."""
         found = []
         for r, (runner, sight) in enumerate(zip(self.simulators, self.sights, strict=True)):
-            paths = runner.run([own_values(self.fixed | row, r) for row in rows], sight.frames)
-            found.append(sight.predicted(paths))
+            own = [own_values(self.fixed | row, r) for row in rows]
+            found.append(run_once(own, lambda alone, runner=runner, sight=sight: sight.predicted(runner.run(alone, sight.frames))))
         return np.concatenate(found, 1)
 
     def simulate(self, values) -> np.ndarray:

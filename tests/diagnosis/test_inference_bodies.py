@@ -226,6 +226,22 @@ def test_recordings_are_predicted_together(twin, recording):
     np.testing.assert_allclose(first[0], first[1], atol=1e-9)
     assert np.abs(second[1] - second[0]).max() > 1e-4
     assert len(forward.data) == 2 * len(Forward.of(twin, [recording], CONFIG).data)
+    assert forward.cost.runs == 2 + 1  # what is the second recording's own is run there alone: in the first it is the run before
+
+
+def test_numbers_of_one_recording_are_turned_there_alone(twin, recording):
+    # R recordings with one number in common and two of its own each: R runs for the first and one for each of the others, and R where the
+    # fit ended, in the place of R for each; a hand's numbers in one recording move nothing in another
+    own = tuple(Unknown(f"rec{r}_grip0_shift_{a}", 0.0, -0.02, 0.02, "m", prior=(0.0, 0.005)) for r in range(2) for a in "xy")
+    forward = Forward.of(twin, [recording, recording], CONFIG)
+    forward = replace(forward, unknowns=(forward.unknowns[0], *own), scaled=np.r_[forward.scaled[0], np.zeros(4)])
+    reference = forward.at(np.zeros(5))[0]
+    before = forward.cost.runs
+    slopes = forward.slopes(reference)
+    assert forward.cost.runs - before == 2 * 1 + 2 * 2 + 2
+    first = forward.layout.record == 0
+    assert (slopes[first][:, [3, 4]] == 0).all() and (slopes[~first][:, [1, 2]] == 0).all()
+    assert (np.abs(slopes[first][:, :3]).max(0) > 1e-6).all() and (np.abs(slopes[~first][:, [0, 3, 4]]).max(0) > 1e-6).all()
 
 
 def test_fitted_frames_alone_are_as_in_runs_of_all(twin, recording, monkeypatch):

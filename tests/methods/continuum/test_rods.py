@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from twinbench.datasets.scenario import Observed
 from twinbench.methods.continuum import Continuum
 from twinbench.methods.continuum.axis import axis_of
+from twinbench.methods.continuum.bodies import bodies_of
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
 from twinbench.methods.continuum.estimate import unknowns_of
@@ -142,6 +143,16 @@ def test_points_in_two_lines_side_by_side_are_no_rope():
     bend[:, 0] += np.minimum(arc - 0.157, 0.0) - np.maximum(arc - 0.157 - 0.04 * np.pi, 0.0)
     axis, _ = axis_of(bend + random.normal(0, 1e-3, bend.shape), 0.003, 0.01)
     assert np.linalg.norm(np.diff(axis, axis=0), axis=1).sum() == pytest.approx(0.44, rel=0.05)
+
+
+def test_a_recording_of_which_no_rope_can_be_made_is_named():
+    # half of the points of the second are turned by 4 degrees, as where a camera is not where it is told
+    one, random = filmed(), np.random.default_rng(0)
+    along, side = random.uniform(0, 0.5, 600), np.arange(600) % 2
+    apart = np.stack([along, 0.07 * side * along, 0.0 * along], 1) + random.normal(0, 1e-3, (600, 3))
+    apart, nothing = apart[None], np.zeros((0, 3))
+    with pytest.raises(ValueError, match=r"must follow one line, got .* \(scenario second\)"):
+        bodies_of([one, replace(one, name="second", points=apart, interior=nothing)], kind="rope")
 
 
 def filmed():
