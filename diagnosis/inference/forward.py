@@ -167,12 +167,12 @@ class Forward:
         return {u.name: u.decode(s) for u, s in zip(self.unknowns, self.scaled + shift * self.sds, strict=True)}
 
     def narrowed(self) -> float | None:
-        """Logarithm of how much narrower than was told the narrowest grip in a recording that is asked is where the fit ended, None where
-        no hand's grip was fitted."""
-        told = tuple(f"rec{r}_grip" for r in self.asked)
+        """Logarithm of how much narrower than was told the narrowest grip is where the fit ended, a mean over recordings that are asked;
+        None where no hand's grip was fitted in them."""
         ended = self.values(np.zeros(len(self.unknowns)))
-        own = [-np.log(v) for name, v in ended.items() if name.startswith(told) and name.endswith("_reach")]
-        return float(max(own)) if own else None
+        reaches = {name: -np.log(value) for name, value in ended.items() if name.endswith("_reach")}
+        each = [[v for name, v in reaches.items() if name.startswith(f"rec{r}_grip")] for r in self.asked]
+        return float(np.mean([max(own) for own in each if own])) if any(each) else None
 
     def paths(self, rows: Sequence[Mapping[str, float]]) -> list[np.ndarray]:
         """For each recording (K, T, M, 3) m, of dicts of values beside the twin's own; NaN from where one diverged. T: all frames, or those

@@ -178,12 +178,17 @@ def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:
 
 
 def _hands(evidence: Evidence, config: DiagnosisConfig) -> dict[str, float]:
-    """What hands tell, by the name of its statistic; nothing of markers, nor of recordings that are compared."""
+    """What hands tell, by the name of its statistic; nothing of markers, nor of recordings that are compared.
+
+    Of several recordings means: the most of many hands would lie farther out than that of controls, which are single recordings, and a law
+    that is missing acts in all of them.
+    """
     forward = evidence.forward
     if forward.blocks[0].is_single or forward.contrast is not None:
         return {}
-    strays = (stray_of(forward.recordings[r].observed(), 1e-3 * config.floor) for r in forward.asked)
-    told = {"grip": forward.narrowed(), "stray": max((one for one in strays if one is not None), default=None)}
+    strays = [stray_of(forward.recordings[r].observed(), 1e-3 * config.floor) for r in forward.asked]
+    known = [one for one in strays if one is not None]
+    told = {"grip": forward.narrowed(), "stray": float(np.mean(known)) if known else None}
     return {name: value for name, value in told.items() if value is not None}
 
 
