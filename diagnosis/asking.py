@@ -36,6 +36,8 @@ LOST = 0.5  # of the motion: a twin that misses more was fitted to nonsense, and
 
 LARGER = 1.5  # times as large as usual, cells of a second search
 
+FEW = 3  # recordings: from a fit of so many, in which starts are told apart, that of more begins
+
 Tell = Callable[[str], None]
 
 
@@ -56,12 +58,17 @@ def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed:
 
     It is searched in cells as large as those in which the inference runs it, and not refined in smaller ones, of which it makes no use;
     then it is settled on the means that the inference tests. Where that misses more than ``config.restless`` of the motion, a search in
-    larger cells, in which a body that is thrown has fewer ways to go wrong, is settled as well, and the better one is taken.
+    larger cells, in which a body that is thrown has fewer ways to go wrong, is settled as well, and the better one is taken. The fit of
+    more than ``FEW`` recordings begins where that of the first ones ended.
     """
     observed, made = [one.observed() for one in recordings], _coarse(config, recordings)
 
     def found(config_of_fit: Config) -> ContinuumTwin:
-        return settled(Continuum().fitted(observed, config_of_fit, seed=seed, device=device), recordings, config)
+        options: dict[str, Any] = dict(seed=seed, device=device)
+        if config_of_fit.recordings and len(observed) > FEW:
+            few = Continuum().fitted(observed[:FEW], config_of_fit, **options)
+            options["begin"] = few.values | few.ended
+        return settled(Continuum().fitted(observed, config_of_fit, **options), recordings, config)
 
     twin = found(made)
     if not twin.scene.body.settling or is_marked(recordings[0], config) or (missed := left(twin, recordings, config)) < config.restless:
@@ -80,7 +87,8 @@ def told_twin(twin: ContinuumTwin, observed: Sequence[Observed], named: Named, m
     effect, values = named.candidate.effect, named.candidate.values(list(named.amounts.values()))
     free = [] if effect.law else [_free(a, values[a.name]) for a in effect.amounts]
     fixed = {name: value for name, value in values.items() if name not in {u.name for u in free}}
-    begin = twin.values | {f"rec{r}_{name}": value for r in range(len(observed)) for name, value in twin.values.items()}
+    begin = {f"rec{r}_{name}": value for r in range(len(observed)) for name, value in twin.values.items()}
+    begin |= twin.ended | twin.values
     options: dict[str, Any] = dict(extra=(effect.term(),) if effect.term else (), extra_unknowns=free, fixed=fixed, begin=begin, seed=seed)
     return Continuum().fitted(observed, made, device=twin.device, **options)
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import reduce
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -87,9 +87,6 @@ class Forward:
         """
         if not twin.posterior:
             raise ValueError(f"a twin must keep the posterior of its fit, got none (scenario {twin.scene.name})")
-        listed: list[dict[str, Any]] = twin.posterior["unknowns"]
-        read: list[dict[str, Any]] = [{k: tuple(v) if isinstance(v, list) else v for k, v in u.items()} for u in listed]
-        unknowns = tuple(Unknown(**known) for known in read)
         cells = config.cells_of(twin.scene.body)
         scenes = [_coarser(twin.scene, recordings[0].observed(), cells)]
         made = Config(contact="on" if twin.scene.contact else "off")
@@ -99,7 +96,7 @@ class Forward:
         shared = Blocks.of(recordings[0], config).regions if against else None
         blocks = tuple(Blocks.of(one, config, shared) for one in recordings)
         return cls(
-            unknowns,
+            twin.unknowns,
             np.array(twin.posterior["scaled"]),
             np.array(twin.posterior["covariance"]),
             twin.own_values,

@@ -22,6 +22,7 @@ from .result import Fit
 from .scene import REACH, Scene
 from .simulate import Simulator
 from .start import Speeds
+from .unknowns import Unknown
 
 __all__ = ["ContinuumTwin"]
 
@@ -51,6 +52,19 @@ class ContinuumTwin(Twin):
         """The values that it has in any recording: all but where, and how far, its hands hold here."""
         own = [p.name for p in terms.SoftGrip.parameters]
         return {name: v for name, v in self.values.items() if not name.startswith("grip") or name in own}
+
+    @cached_property
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """What was fitted, those of one recording alone as ``rec<r>_...``; none where it keeps no posterior."""
+        listed: list[dict[str, Any]] = self.posterior.get("unknowns", [])
+        read: list[dict[str, Any]] = [{k: tuple(v) if isinstance(v, list) else v for k, v in one.items()} for one in listed]
+        return tuple(Unknown(**one) for one in read)
+
+    @property
+    def ended(self) -> dict[str, float]:
+        """Where the fit ended, by the names of the unknowns, within their bounds."""
+        found = zip(self.unknowns, self.posterior.get("scaled", []), strict=True)
+        return {u.name: float(np.clip(u.decode(s), u.low, u.high)) for u, s in found}
 
     @property
     def controllers(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The inference on a small block: block means and their noise, members that are other bodies, an effect that is put in and found."""
 
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -118,6 +118,26 @@ def test_what_a_twin_misses_is_a_share_of_the_motion(twin, recording):
     missed, moved = forward.data - forward.reference()[1], forward.data - start
     wanted = np.sqrt(np.mean(missed[fitted] ** 2) / np.mean(moved[fitted] ** 2))
     assert left(twin, [recording], CONFIG) == pytest.approx(wanted, rel=1e-9) and wanted < 0.05
+
+
+def test_a_fit_of_many_recordings_begins_where_that_of_few_ended(twin, recording, monkeypatch):
+    # whose own numbers go along: a hand's in the second recording, which is no value of the twin of the first
+    own = Unknown("rec1_grip0_reach", 1.0, 0.5, 2.0, "-", "log", prior=(0.0, 0.3))
+    posterior = dict(unknowns=[*twin.posterior["unknowns"], asdict(own)], scaled=[*twin.posterior["scaled"], np.log(2.0) + 1e-15])
+    tried = []
+
+    class Search:
+        def fitted(self, observed, _config, begin=None, **_):
+            tried.append((len(observed), begin))
+            return replace(twin, posterior=posterior)
+
+    monkeypatch.setattr(asking, "Continuum", Search)
+    asking.sound_twin(3 * [recording], CONFIG)
+    assert tried == [(3, None)]
+    asking.sound_twin(5 * [recording], CONFIG)
+    assert [count for count, _ in tried[1:]] == [3, 5] and tried[1][1] is None
+    begin = tried[2][1]
+    assert begin["rec1_grip0_reach"] == 2.0 and begin["youngs_modulus"] == pytest.approx(TRUE["youngs_modulus"], rel=1e-12)
 
 
 def test_a_twin_that_misses_much_is_searched_again_in_larger_cells(twin, recording, monkeypatch):
