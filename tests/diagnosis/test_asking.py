@@ -64,12 +64,17 @@ def test_a_body_between_two_kinds_is_one_object_in_both():
 
 def test_as_many_recordings_are_fitted_as_are_asked(monkeypatch):
     # a fit of a solid takes three at most unless it is told otherwise, of which the numbers of hands would be taken for those of others
-    told, settling = [], []
-    monkeypatch.setattr(Continuum, "fitted", lambda self, observed, config, **more: told.append((len(observed), config.recordings)))
+    told, settling, ended = [], [], SimpleNamespace(values={}, ended={})
+
+    def fitted(self, observed, config, **_):
+        told.append((len(observed), config.recordings))
+        return ended
+
+    monkeypatch.setattr(Continuum, "fitted", fitted)
     solid = SimpleNamespace(scene=SimpleNamespace(body=SimpleNamespace(settling=0)))  # which settles nothing, and is searched once
     monkeypatch.setattr(asking, "settled", lambda twin, recordings, config: settling.append(len(recordings)) or solid)
     assert sound_twin([block(f"take {k}", seed=k) for k in range(5)], CONFIG) is solid
-    assert told == [(5, 5)] and settling == [5]
+    assert told == [(asking.FEW, 5), (5, 5)] and settling == [5]  # led by a fit of a few
 
 
 def test_few_points_or_frames_are_refused():
