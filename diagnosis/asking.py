@@ -180,7 +180,7 @@ class _Asking:
 
     def evidence(self, recordings: Sequence[Scenario], twin: ContinuumTwin) -> Evidence:
         if self.peers:
-            return compared(twin, recordings[0], self.known, self.config, progress=self.progress)
+            return compared(twin, recordings, self.known, self.config, progress=self.progress)
         sound, everything = range(len(recordings), len(recordings) + len(self.known)), [*recordings, *self.known]
         return gathered(twin, everything, self.config, sound=sound, against=self.against, seed=self.seed, progress=self.progress)
 
@@ -244,13 +244,16 @@ def ask(
 
     ``transfer`` recordings are simulated with the twin as it was and with what was named, and never fitted or chosen by. ``fitted_on`` are
     recordings in which nothing is missing: what ``recordings`` have beyond them is asked. ``against`` are such of the same command: what a
-    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. Raises ValueError for
+    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. Beside such, and of markers
+    beside ``inference.peers.FEWEST`` sound recordings and more, the frames are asked that all of them have. Raises ValueError for
     recordings that do not suit (``suitable``, ``inference.contrast.comparable``, ``inference.peers.compared``), or both kinds at once.
     """
     begun, config = time.time(), config or DiagnosisConfig()
     if against and (fitted_on or len(recordings) != 1):
         raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
-    recordings = [until(recordings[0], against)] if against else recordings
+    peers = bool(recordings) and is_marked(recordings[0], config) and len(fitted_on) >= FEWEST
+    if beside := against or (fitted_on if peers else ()):
+        recordings = [until(one, [*recordings, *beside]) for one in recordings]
     suitable(recordings, transfer, fitted_on=fitted_on, against=against, config=config)
     options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)
     found = asked(recordings, config, **options)

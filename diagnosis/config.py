@@ -64,6 +64,7 @@ class DiagnosisConfig:
     roaming     standard deviation of where a hand that is not listed may be, from where it held the body in frame 0, in each coordinate
                 and bin [mm]: an arm's length
     planned     motions, at most, that members run through where a recording leaves something open, each at twice the cost of the members
+    ridges      of what sound recordings are expected to miss, over the scale of how alike they are; chosen by recordings left out
     strengths   of the prior covariance, in members; ``memories`` [s] and ``reaches`` (of the body's extent) of its correlation. They are
                 chosen by the score of members left out; 0 is no correlation
     """
@@ -100,6 +101,7 @@ class DiagnosisConfig:
     clearly: float = 6.7
     roaming: float = 500.0
     planned: int = 2
+    ridges: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
     strengths: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
     memories: tuple[float, ...] = (0.0, 0.15, 0.5, 1.5)
     reaches: tuple[float, ...] = (0.0, 0.15, 0.4)

@@ -232,7 +232,9 @@ def believed(hold: Hold, answer: Answer, evidence: Evidence, config: DiagnosisCo
     if next(iter(chances)) != HOLD.name or shortcoming(own, config):
         return answer
     change = hold.prediction - evidence.reference
-    parts = budget(evidence.scatter, answer.prior, evidence.forward.data - evidence.reference, evidence.posterior, change)
+    parts = budget(
+        evidence.scatter, answer.prior, evidence.forward.data - evidence.reference, evidence.posterior, change, evidence.forward.missed
+    )
     return replace(answer, verdict="named", parallel=(), budget=tuple(parts))
 
 

@@ -13,6 +13,7 @@ from .config import DiagnosisConfig
 from .ground import sunk
 from .inference.blocks import Blocks, is_marked
 from .inference.controls import Controls
+from .inference.peers import FEWEST
 
 __all__ = ["has_continuum", "suitable"]
 
@@ -57,8 +58,9 @@ def suitable(
     if not recordings:
         raise ValueError("at least one recording must be given, got none")
     first, config = recordings[0], config or DiagnosisConfig()
-    if is_marked(first, config) and not against and len(recordings) != 1:
-        raise ValueError(f"markers are asked one recording at a time, got {len(recordings)} (scenario {first.name})")
+    if is_marked(first, config) and len(recordings) != 1 and len(fitted_on) < FEWEST:
+        beside = f"unless beside at least {FEWEST} sound ones, got {len(recordings)} beside {len(fitted_on)}"
+        raise ValueError(f"markers are asked one recording at a time, {beside} (scenario {first.name})")
     recordings = [*recordings, *fitted_on, *against]
     for one in recordings:
         _enough(one, config)

@@ -113,6 +113,11 @@ class Blocks:
         """(B,) m."""
         return self.means(self.points[None])[0]
 
+    def starts(self, cells) -> np.ndarray:
+        """(n, 3) m, where the n tracks that are the regions of ``cells`` start; NaN of one that is not seen there."""
+        own = np.isin(self.label, np.asarray(cells) % self.count)
+        return np.where(self.seen[0, own, None], self.points[0, own], np.nan)
+
     def layout(self, record: int) -> Layout:
         three = np.tile(np.arange(3), len(self.cells))
         each = [np.repeat(a, 3, 0) for a in (self.place, self.time, self.fitted)]

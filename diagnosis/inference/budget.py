@@ -22,8 +22,8 @@ class Budget:
     """One part of a motion, from ``begin`` to ``end`` [s] of recording ``record``; all others mm, RMS over its block means.
 
     error       of the fitted sound twin
-    noise       of measured means; ``representation``: what sound twins of other cells, shape, steps and hands are off, and what any
-                recording is (``Amount.usual``); ``parameters``: what their posterior leaves open
+    noise       of measured means; ``representation``: what sound twins of other cells, shape, steps and hands are off, what any recording
+                is (``Amount.usual``), and what sound recordings are expected to miss; ``parameters``: what their posterior leaves open
     named       what the likeliest effect changes, 0 if none is; ``unexplained``: what error there is beyond the squares of all of these
     fitted      whether its frames were fitted
     """
@@ -51,17 +51,18 @@ class Detectable:
     unabsorbed: float
 
 
-def budget(scatter: Scatter, prior: Prior, residual, posterior, change) -> list[Budget]:
+def budget(scatter: Scatter, prior: Prior, residual, posterior, change, missed: np.ndarray | float = 0.0) -> list[Budget]:
     """By part of the motion.
 
-    residual   (B,) m of the sound twin; ``change`` (B,) m, what the named effect's refit predicts otherwise, or zeros
+    residual   (B,) m of the sound twin, beside what it is expected to have ``missed`` (B,) m; ``change`` (B,) m, what the named effect's
+               refit predicts otherwise, or zeros
     posterior  (B, B) m^2 of what the parameters' posterior leaves open
     """
     layout: Layout = scatter.layout
     squares = {
-        "error": residual**2,
+        "error": (residual + missed) ** 2,
         "noise": np.diag(scatter.noise),
-        "representation": np.diag(scatter.expected(prior)),
+        "representation": np.diag(scatter.expected(prior)) + (residual + missed) ** 2 - residual**2,
         "parameters": np.diag(posterior),
         "named": residual**2 - (residual - change) ** 2,
     }

@@ -41,6 +41,7 @@ DECIDING = (
     "strays",
     "motion",
     "repeat",
+    "ridges",
     "refitted",
     "astray",
     "reshaped",

@@ -66,7 +66,7 @@ class Prior:
 class Scatter:
     """Residuals ``left`` (K, B) m of members without noise, ``noise`` (B, B) m^2 of block means, ``slopes`` (B, n): what parameters within
     their priors do, for one standard deviation each; ``usual`` (B, u) m: the same of what any recording is off by. ``floor`` [m]: standard
-    deviation of a further error of each block mean by itself."""
+    deviation of a further error of each block mean by itself. ``independent``: what is left of one recording says nothing of another's."""
 
     left: np.ndarray
     noise: np.ndarray
@@ -74,6 +74,7 @@ class Scatter:
     usual: np.ndarray
     layout: Layout
     floor: float = 0.0
+    independent: bool = False
 
     def without(self, k: int) -> Scatter:
         """All members but one."""
@@ -93,7 +94,10 @@ class Scatter:
         sd = np.sqrt(self.variances(smooth))
         weight = prior.strength / (prior.strength + len(self.left))
         own = np.diag(np.full(len(sd), self.floor**2)) + self.usual @ self.usual.T
-        return weight * sd[:, None] * kernel * sd + (1 - weight) * self.left.T @ self.left / len(self.left) + own
+        shown = self.left.T @ self.left / len(self.left)
+        if self.independent:
+            shown = shown * (self.layout.record[:, None] == self.layout.record)  # positive: a Schur product with a matrix of blocks of ones
+        return weight * sd[:, None] * kernel * sd + (1 - weight) * shown + own
 
     def likelihood(self, prior: Prior, *, parameters: bool = True) -> Likelihood:
         """Of a further recording: noise, error of sound twins and ``parameters`` within their priors."""

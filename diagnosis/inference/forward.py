@@ -53,6 +53,7 @@ class Forward:
     contrast    how far recordings differ is asked, not what they are; or None
     spread      (n,) of the unknowns' own prior standard deviations, those of a single recording around where the fit ended
     after       (B,) m that stand for what is not fitted, so that runs end with the fitted frames; or None: all frames are run
+    missed      (B,) m that a sound twin is expected to miss, which are taken from the data (``discrepancy``)
     """
 
     unknowns: tuple[Unknown, ...]
@@ -68,6 +69,7 @@ class Forward:
     contrast: Contrast | None = None
     spread: np.ndarray | float = 1.0
     after: np.ndarray | None = None
+    missed: np.ndarray | float = 0.0
     cost: Cost = field(default_factory=Cost)
 
     @classmethod
@@ -113,8 +115,8 @@ class Forward:
 
     @property
     def data(self) -> np.ndarray:
-        """(B,) m."""
-        return self.mixed(np.concatenate([b.data for b in self.blocks]))
+        """(B,) m, without what a sound twin is expected to miss."""
+        return self.mixed(np.concatenate([b.data for b in self.blocks])) - self.missed
 
     @property
     def motion(self) -> np.ndarray:

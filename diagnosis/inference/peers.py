@@ -1,9 +1,10 @@
 """Sound recordings as members: what a twin misses in each of them is how far it is off by itself.
 
 All rods lack what a real cable has and a rod has not, so that members of other material say little of how far either strays from it.
-Recordings of the same markers in which nothing is missing do: the twin is fitted to them, a refit of it is taken from what it misses in
-each as it is from the one that is asked, and what is left, marker by marker and bin by bin, are draws of its error. The numbers are the
-object's: a recording may want them elsewhere than the fit to all has them, but by no more than sound ones do.
+Recordings of the same markers in which nothing is missing do: the twin is fitted to them, what it misses in each is expected from the
+others as far as it can be (``discrepancy``), a refit of it is taken from the rest as it is from the one that is asked, and what is left,
+marker by marker and bin by bin, are draws of its error. The numbers are the object's: a recording may want them elsewhere than the fit to
+all has them, but by no more than sound ones do.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import replace
 from functools import reduce
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ...datasets.scenario import Scenario
 from ...methods.continuum.config import Config
@@ -20,10 +22,11 @@ from ...methods.continuum.joint import placed
 from ...methods.continuum.twin import ContinuumTwin
 from ..config import DiagnosisConfig
 from .absorption import absorb
-from .contrast import as_long
+from .contrast import as_long, until
 from .covariance import Scatter
+from .discrepancy import alike, expected
 from .evidence import Evidence
-from .forward import Forward
+from .forward import Cost, Forward
 from .scan import signatures
 
 __all__ = ["FEWEST", "compared", "there"]
@@ -47,54 +50,75 @@ def there(twin: ContinuumTwin, recording: Scenario) -> ContinuumTwin:
 
 def compared(
     twin: ContinuumTwin,
-    case: Scenario,
+    cases: Sequence[Scenario],
     sound: Sequence[Scenario],
     config: DiagnosisConfig,
     *,
     progress: Callable[[str], None] | None = None,
 ) -> Evidence:
-    """The evidence of ``case``, whose ``sound`` recordings, to which ``twin`` was fitted, are the members.
+    """The evidence of R ``cases``, whose ``sound`` recordings, to which ``twin`` was fitted, are the members.
 
-    Of all recordings the same markers in the same frames are looked at, first those of the case. Raises ValueError where a sound one is
-    shorter, for fewer than ``FEWEST`` of them, and where no marker is free in all.
+    Of all recordings the same markers in the same frames are looked at, first those of the shortest case. Each wants the object's numbers
+    where it wants them, and what acts is the same in all cases. A member of several is as many sound recordings, each in the place of one.
+    Raises ValueError where a sound one is shorter, for fewer than ``FEWEST`` of them, and where no marker is free in all.
     """
     tell = progress or (lambda _: None)
-    if len(sound) < FEWEST:
-        raise ValueError(
-            f"how far twins stray from markers is told by at least {FEWEST} recordings in which nothing is missing, got {len(sound)} "
-            f"(scenario {case.name})"
-        )
-    forward = Forward.of(there(twin, case), [case], config)
-    each = [replace(Forward.of(there(twin, cut), [cut], config), cost=forward.cost) for cut in (as_long(one, case) for one in sound)]
-    each.append(forward)
+    where, cost, first = f" (scenario {cases[0].name})", Cost(), until(cases[0], cases)
+    recordings = [as_long(one, first) for one in (*sound, *cases)]
+    each = [replace(Forward.of(there(twin, one), [one], config), cost=cost) for one in recordings]
     common = reduce(np.intersect1d, [one.blocks[0].cells for one in each])
     if not len(common):
-        raise ValueError(f"some markers must be free in all recordings, got none (scenario {case.name})")
+        raise ValueError(f"some markers must be free in all recordings, got none{where}")
     each = [replace(one, blocks=(one.blocks[0].only(common),)) for one in each]
-    forward = each[-1]
-    paths, reference = forward.reference()
-    references = np.array([*(one.at(np.zeros(len(forward.unknowns)))[0] for one in each[:-1]), reference])
+    rows = [one.at(np.zeros(len(one.unknowns)))[0] for one in each[: len(sound)]]
+    good = [k for k, row in enumerate(rows) if np.isfinite(row).all()]
+    count, each = len(good), [*(each[k] for k in good), *each[len(sound) :]]
+    if count < FEWEST:
+        told = f"at least {FEWEST} recordings in which nothing is missing, got {len(sound)}"
+        lost = f", of which the twin diverges in {len(sound) - count}" if count < len(sound) else ""
+        raise ValueError(f"how far twins stray from markers is told by {told}{lost}{where}")
+    paths, references = zip(*(one.reference() for one in each[count:]), strict=True)
+    references = np.array([*(rows[k] for k in good), *references])
     slopes = np.array([one.slopes(row) for one, row in zip(each, references, strict=True)])
     tell(f"slopes of {slopes.shape[2]} unknowns for {references.shape[1]} means of markers, in {len(each)} recordings")
-    noise, _ = forward.noise(paths)
-    sd = np.where(forward.layout.fitted, np.sqrt(np.diag(noise)), np.inf)
 
+    missed = np.array([one.data for one in each[:count]]) - references[:count]
+    kernel = alike([one.blocks[0].starts(common) for one in each], [one.recordings[0].controllers for one in each])
+    expect, far = expected(missed, kernel, config.ridges)
+    share = np.sqrt(np.mean((missed - expect[:count]) ** 2) / np.mean(missed**2))
+    tell(f"{share:.2f} of what sound recordings miss is not expected from the others")
+    each = [replace(one, missed=own) for one, own in zip(each, expect, strict=True)]
+
+    noise = np.array([one.noise(path)[0] for one, path in zip(each[count:], paths, strict=True)])
+    sd = np.where(each[0].layout.fitted, np.sqrt(np.mean([np.diag(one) for one in noise], 0)), np.inf)
     _, shifts = _absorbed(each, references, slopes, sd, config.rounds)
-    spread = _spread(shifts[:-1])
+    spread = _spread(shifts[:count])
     each, slopes = [replace(one, spread=spread) for one in each], slopes * spread
-    forward = each[-1]
     left, _ = _absorbed(each, references, slopes, sd, config.rounds)
-    kept = np.isfinite(left[:-1]).all(1)
-    if kept.sum() < FEWEST:
-        raise ValueError(f"the twin must not diverge in {FEWEST} sound recordings, got {int(kept.sum())} (scenario {case.name})")
-    members = left[:-1][kept]
-    tell(f"{len(members)} sound recordings")
-    catalogue = signatures(forward, paths, reference, config)
+    tell(f"{count} sound recordings")
+
+    forward, reference, ways = _joined(each[count:]), references[count:].ravel(), block_diag(*slopes[count:])
+    members = np.concatenate([np.roll(one * left[:count], -r, axis=0) for r, one in enumerate(far)], axis=1)
+    catalogue = signatures(forward, [one for (one,) in paths], reference, config)
     tell(f"signatures of {len(catalogue)} candidates")
-    scatter = Scatter(members, noise, slopes[-1], np.zeros((len(noise), 0)), forward.layout)
-    posterior = forward.posterior(slopes[-1])
-    return Evidence(
-        forward, reference, slopes[-1], scatter, left[-1], members, posterior, tuple(catalogue), (), np.zeros((0, slopes.shape[-1]))
+    scatter = Scatter(members, block_diag(*noise), ways, np.zeros((len(reference), 0)), forward.layout, independent=True)
+    none = np.zeros((0, ways.shape[1]))
+    return Evidence(forward, reference, ways, scatter, left[count:].ravel(), members, forward.posterior(ways), tuple(catalogue), (), none)
+
+
+def _joined(each: Sequence[Forward]) -> Forward:
+    """One of several, of a recording each, whose unknowns are each one's own."""
+    if len(each) == 1:
+        return each[0]
+    own = [replace(u, name=f"rec{r}_{u.name}") for r, one in enumerate(each) for u in one.unknowns]
+    return replace(
+        each[0],
+        unknowns=tuple(own),
+        scaled=np.concatenate([one.scaled for one in each]),
+        covariance=block_diag(*(one.covariance for one in each)),
+        spread=np.concatenate([np.broadcast_to(one.spread, len(one.unknowns)) for one in each]),
+        missed=np.concatenate([np.broadcast_to(one.missed, len(one.data)) for one in each]),
+        **{name: tuple(getattr(one, name)[0] for one in each) for name in ("recordings", "simulators", "blocks")},
     )
 
 

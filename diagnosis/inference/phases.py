@@ -139,7 +139,7 @@ def weighed(
         chances,
         _parallel(whole, rows, first, e.catalogue, _refuted(named, config), config) if first else (),
         tuple(detectable(scatter, prior, test, e.catalogue, config.level)),
-        tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change)),
+        tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change, e.forward.missed)),
         e.forward.cost.runs,
         e.forward.cost.seconds,
         _wandering(e),

@@ -755,6 +755,11 @@ def test_the_budget_adds_up():
         assert squares >= part.error**2 - 1e-9
     # mean squares of parts of equal size are those of the whole
     assert np.mean([p.error**2 for p in parts]) == pytest.approx(3e6 * np.mean(residual**2))
+    # what the twin is expected to miss is error that is explained
+    more = budget(scatter, PRIOR, residual, np.zeros((SIZE, SIZE)), np.zeros(SIZE), missed := 1e-3 * np.sign(residual))
+    assert np.mean([p.error**2 for p in more]) == pytest.approx(3e6 * np.mean((residual + missed) ** 2))
+    np.testing.assert_allclose([p.unexplained for p in more], [p.unexplained for p in parts], atol=1e-6)
+    assert all(b.representation > a.representation for a, b in zip(parts, more, strict=True))
 
 
 def test_a_prediction_interval_of_a_normal_sample_holds_what_it_says():

@@ -13,6 +13,7 @@ from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.holding import listed, places
 from twinbench.diagnosis.inference import phases
 from twinbench.diagnosis.inference.blocks import Blocks, is_marked
+from twinbench.diagnosis.inference.covariance import Prior
 from twinbench.diagnosis.inference.peers import FEWEST, LEAST, _spread, compared, there
 from twinbench.methods.continuum.rods import Rod
 from twinbench.methods.continuum.scene import Scene
@@ -86,7 +87,7 @@ def test_a_sound_recording_is_one_among_sound_ones(twin, sound):
 def test_numbers_are_the_objects_own(twin, sound):
     # eight times as stiff is one of the prior's standard deviations, which a refit of this recording alone takes up (p 0.13 in 36 frames)
     stiff = recording(20, bending_stiffness=8 * TRUE["bending_stiffness"])
-    found = compared(twin, stiff, sound, CONFIG)
+    found = compared(twin, [stiff], sound, CONFIG)
     assert found.forward.spread.max() < 0.5 and phases.tested(found, CONFIG).test.p < CONFIG.level
 
 
@@ -106,6 +107,37 @@ def test_what_sound_ones_have_not_is_found_and_named(twin, sound):
 
 
 @pytest.mark.long
+def test_several_recordings_are_asked_together(twin, sound):
+    # each wants the twin's numbers where it wants them, and one wind acts in both: it is as likely by both as by each together, or more
+    blown = [recording(seed, (Wind(),), wind_y=1.5, wind_speed=1.5) for seed in (23, 27)]
+    found = compared(twin, blown, sound, CONFIG)
+    assert [u.name for u in found.forward.unknowns] == [f"rec{r}_{name}" for r in (0, 1) for name in ("bending_stiffness", "bending_time")]
+    assert len(found.residual) == 2 * len(compared(twin, blown[:1], sound, CONFIG).residual) == found.scatter.left.shape[1]
+    covariance = found.scatter.expected(Prior(4.0, 0.15, 0.4))
+    other = found.forward.layout.record[:, None] != found.forward.layout.record
+    assert np.abs(covariance[other]).max() == 0.0 and np.linalg.eigvalsh(covariance)[0] > 0
+
+    def wind(cases):
+        test = phases.tested(compared(twin, cases, sound, CONFIG), CONFIG).test
+        return max(s.log_evidence for s in test.scores if s.name == "wind")
+
+    assert wind(blown) > 0.9 * sum(wind([one]) for one in blown)  # independent recordings add up, but for what each alone may choose
+    answer = asked(blown, CONFIG, fitted_on=sound, twin=twin).answer
+    assert answer.test.p < CONFIG.level and set(list(answer.probabilities)[:2]) == {"wind", "gravity_tilt"}
+    assert phases.tested(compared(twin, [recording(s) for s in (20, 21)], sound, CONFIG), CONFIG).test.p > 0.01
+
+
+@pytest.mark.long
+def test_what_sound_ones_miss_alike_is_expected_of_the_next(twin, sound):
+    # a steady breeze that no twin has: of a recording that has it too it is no part of what is left, of one without it all of it is
+    breezy = [recording(seed, (Wind(),), wind_y=1.0, wind_speed=1.0) for seed in range(30, 42)]
+    options = dict(ridges=()), {}
+    alone, told = (compared(twin, breezy[:1], breezy[1:], replace(CONFIG, **more)) for more in options)
+    assert np.mean(told.residual**2) < 0.1 * np.mean(alone.residual**2)
+    assert np.mean(told.scatter.left**2) < 0.1 * np.mean(alone.scatter.left**2)
+
+
+@pytest.mark.long
 def test_what_holds_a_cable_is_found_where_it_does(twin, sound):
     # tied to where it was in frame 0 at its sixth marker, one of five that are free
     where = recording(26).points[0, 5]
@@ -119,7 +151,7 @@ def test_what_holds_a_cable_is_found_where_it_does(twin, sound):
 
 @pytest.mark.long
 def test_a_hand_kept_back_is_looked_at_by_the_markers_that_are_free_in_all(twin, sound):
-    evidence = compared(twin, recording(24, driven=(0, 1)), sound, CONFIG)
+    evidence = compared(twin, [recording(24, driven=(0, 1))], sound, CONFIG)
     assert set(evidence.forward.blocks[0].cells % 9) == {2, 3, 4, 5, 6}
     # these are off by ten times what sound recordings leave
     assert np.sqrt(np.mean(evidence.residual**2)) > 10 * np.sqrt(np.mean(evidence.scatter.left**2))
@@ -138,15 +170,15 @@ def test_what_cannot_be_compared_is_refused(twin, sound):
     case = recording(25)
     assert is_marked(case, CONFIG)
     with pytest.raises(ValueError, match=rf"at least {FEWEST} recordings .* got 7 \(scenario swing25\)"):
-        compared(twin, case, sound[:7], CONFIG)
-    with pytest.raises(ValueError, match=r"markers are asked one recording at a time, got 2 \(scenario swing25\)"):
+        compared(twin, [case], sound[:7], CONFIG)
+    with pytest.raises(ValueError, match=r"markers are asked one recording at a time, .* got 2 beside 1 \(scenario swing25\)"):
         ask([case, sound[3]], fitted_on=sound[:1], config=CONFIG)
     with pytest.raises(ValueError, match="at least 3 markers seen in frame 0 that no hand drives, got 2"):
         ask([replace(case, grips=np.arange(7), controllers=case.points[:, :7])], fitted_on=sound, config=CONFIG)
     first = {name: getattr(sound[0], name)[:20] for name in ("points", "visible", "motion_valid", "controllers")}
     short = replace(sound[0], **first, split=Split(14, 20))
     with pytest.raises(ValueError, match=r"as long as the one that it is compared with, 24 frames, got 20 \(scenario swing0\)"):
-        compared(twin, case, [short, *sound[1:]], CONFIG)
+        compared(twin, [case], [short, *sound[1:]], CONFIG)
 
 
 @pytest.mark.long
