@@ -40,7 +40,7 @@ class Diagnose(OnCluster):
     twin: str = "auto"
     """Which twin is questioned: continuum, with sound twins beside it as a measure; springs, a coarse net as PhysTwin's; or auto: continuum
     for a body that is tracked all over, for one cable with markers that stands alone, for several recordings and with --against; else
-    springs. Beside eight recordings or more of --fitted-on a continuum can be asked of a cable as well."""
+    springs. Beside eight recordings or more of --fitted-on a continuum can be asked of markers as well, of one recording or several."""
     preset: str = "quick"
     """How much work: quick or full."""
     device: str = "cpu"
