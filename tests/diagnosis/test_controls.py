@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy.stats import kstest, norm
-from twinbench.diagnosis.config import DiagnosisConfig
+from twinbench.diagnosis.config import MEMBERS, DiagnosisConfig
 from twinbench.diagnosis.inference import controls
 from twinbench.diagnosis.inference.controls import Controls, frozen, main
 
@@ -159,3 +159,10 @@ def test_kinds_that_nothing_is_known_of():
     # as controls.json ships: of solids and sheets no markers were ever weighed, so that members alone would say how far twins are off
     assert [Controls.known(kind) for kind in ("rope", "solid", "sheet")] == [True, True, True]
     assert [Controls.known(kind, marked=True) for kind in ("rope", "solid", "sheet")] == [True, False, False]
+
+
+@pytest.mark.parametrize("preset", MEMBERS)
+@pytest.mark.parametrize(("kind", "marked"), [("rope", False), ("solid", False), ("sheet", False), ("rope", True)])
+def test_the_controls_that_ship_are_used(kind, marked, preset):
+    # a field of the config that changes no statistic of a recording belongs to DECIDING: else all that is frozen is out of use
+    assert Controls.of(kind, MEMBERS[preset], marked=marked) is not None
