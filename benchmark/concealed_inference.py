@@ -23,6 +23,7 @@ from ..diagnosis.config import DiagnosisConfig
 from ..diagnosis.inference.controls import COLUMNS
 from ..diagnosis.inference.evidence import Evidence, gathered
 from ..diagnosis.inference.phases import Answer, weighed
+from ..diagnosis.inference.scan import likeliest
 from ..methods.continuum.twin import ContinuumTwin
 from .opening import open_scenario
 from .solid_oracle import simulated
@@ -120,9 +121,7 @@ def scored(answer: Answer, label: dict) -> dict:
 
 def ranks(answer: Answer, truth: str) -> tuple[float, float]:
     """Of ``truth`` among effects, 1 the likeliest: by the evidence of the scan alone, and after refits; NaN for what was not asked."""
-    best: dict[str, float] = {}
-    for one in answer.test.scores:
-        best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
+    best = likeliest(answer.test.scores)
     linear, full = sorted(best, key=lambda name: -best[name]), list(answer.probabilities)
     first, last = (float(names.index(truth) + 1) if truth in names else np.nan for names in (linear, full))
     return first, last

@@ -13,14 +13,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..datasets.collection import open_collection
 from ..datasets.scenario import Scenario
-
-if TYPE_CHECKING:
-    from ..diagnosis.inference.phases import Answer
-    from ..diagnosis.inference.significance import Significance
+from ..diagnosis.asking import asked, sound_twin
+from ..diagnosis.config import MEMBERS, of_preset
+from ..diagnosis.inference.peers import compared, there
+from ..diagnosis.inference.phases import Answer, tested
+from ..diagnosis.inference.scan import likeliest
+from ..diagnosis.inference.significance import Significance
 
 __all__ = ["Releases", "releases", "run"]
 
@@ -61,11 +62,6 @@ def run(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", pr
     """Ask all releases in ``data``/trunk; ``out``/loads.csv."""
     import pandas as pd
 
-    from ..diagnosis.asking import asked, sound_twin
-    from ..diagnosis.config import MEMBERS, of_preset
-    from ..diagnosis.inference.peers import compared, there
-    from ..diagnosis.inference.phases import tested
-
     found, config, rows = releases(data / "trunk"), of_preset(MEMBERS, preset), []
     twin = sound_twin(found.sound, config, device=device)
 
@@ -86,9 +82,7 @@ def run(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", pr
 
 
 def _row(cases: Sequence[Scenario], load: str | None, test: Significance, answer: Answer | None, level: float) -> dict:
-    best: dict[str, float] = {}
-    for one in test.scores:
-        best[one.name] = max(one.log_evidence, best.get(one.name, -math.inf))
+    best = likeliest(test.scores)
     likely = max(best, key=best.__getitem__)
     row = dict(releases=" ".join(one.name for one in cases), load=load or "equal", p=float(f"{test.p:.3g}"), alarm=test.p < level)
     row |= dict(likeliest=likely, nats=round(best[likely], 1), added_mass_nats=round(best.get("added_mass", math.nan), 1))

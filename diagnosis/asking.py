@@ -22,7 +22,7 @@ from .holding import believed, explains, held
 from .inference.blocks import is_marked
 from .inference.contrast import comparable, until
 from .inference.evidence import Evidence, gathered
-from .inference.peers import FEWEST, compared, there
+from .inference.peers import are_members, compared, there
 from .inference.phases import Answer, Named, tested, weighed
 from .inference.planning import Plan
 from .inference.settling import left, settled
@@ -120,7 +120,7 @@ def asked(
     marked = is_marked(recordings[0], config)
     apart = marked and bool(known)  # what markers miss beside sound ones is told by a twin of these alone
     fitted = twin or sound_twin([_whole(one) for one in known] if apart else [*recordings, *known], config, seed=seed, device=device)
-    asking = _Asking(fitted, known, config, apart, marked and len(fitted_on) >= FEWEST, bool(against), seed, device, progress)
+    asking = _Asking(fitted, known, config, apart, are_members(recordings[0], fitted_on, config), bool(against), seed, device, progress)
     twin = there(fitted, recordings[0]) if apart else fitted
     evidence = asking.evidence(recordings, twin)
     found, hold = tested(evidence, config), None
@@ -251,8 +251,7 @@ def ask(
     begun, config = time.time(), config or DiagnosisConfig()
     if against and (fitted_on or len(recordings) != 1):
         raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
-    peers = bool(recordings) and is_marked(recordings[0], config) and len(fitted_on) >= FEWEST
-    if beside := against or (fitted_on if peers else ()):
+    if beside := against or (fitted_on if recordings and are_members(recordings[0], fitted_on, config) else ()):
         recordings = [until(one, [*recordings, *beside]) for one in recordings]
     suitable(recordings, transfer, fitted_on=fitted_on, against=against, config=config)
     options: dict[str, Any] = dict(fitted_on=fitted_on, against=against, seed=seed, device=device, progress=progress)

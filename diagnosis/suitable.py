@@ -13,7 +13,7 @@ from .config import DiagnosisConfig
 from .ground import sunk
 from .inference.blocks import Blocks, is_marked
 from .inference.controls import Controls
-from .inference.peers import FEWEST
+from .inference.peers import FEWEST, are_members
 
 __all__ = ["has_continuum", "suitable"]
 
@@ -58,7 +58,7 @@ def suitable(
     if not recordings:
         raise ValueError("at least one recording must be given, got none")
     first, config = recordings[0], config or DiagnosisConfig()
-    if is_marked(first, config) and len(recordings) != 1 and len(fitted_on) < FEWEST:
+    if is_marked(first, config) and len(recordings) != 1 and not are_members(first, fitted_on, config):
         beside = f"unless beside at least {FEWEST} sound ones, got {len(recordings)} beside {len(fitted_on)}"
         raise ValueError(f"markers are asked one recording at a time, {beside} (scenario {first.name})")
     recordings = [*recordings, *fitted_on, *against]

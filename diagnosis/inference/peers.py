@@ -22,6 +22,7 @@ from ...methods.continuum.joint import placed
 from ...methods.continuum.twin import ContinuumTwin
 from ..config import DiagnosisConfig
 from .absorption import absorb
+from .blocks import is_marked
 from .contrast import as_long, until
 from .covariance import Scatter
 from .discrepancy import alike, expected
@@ -29,10 +30,15 @@ from .evidence import Evidence
 from .forward import Cost, Forward
 from .scan import signatures
 
-__all__ = ["FEWEST", "compared", "there"]
+__all__ = ["FEWEST", "are_members", "compared", "there"]
 
 LEAST = 0.01  # of a prior standard deviation: what no recording tells stays a number
 FEWEST = 8  # sound recordings: a variance of 8 is known to 27 %
+
+
+def are_members(case: Scenario, sound: Sequence[Scenario], config: DiagnosisConfig) -> bool:
+    """Whether ``sound`` recordings tell how far a twin of ``case`` is off: of markers, where there are enough of them."""
+    return is_marked(case, config) and len(sound) >= FEWEST
 
 
 def there(twin: ContinuumTwin, recording: Scenario) -> ContinuumTwin:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,7 +15,7 @@ from ..effects import Candidate, effects
 from .forward import Forward
 from .likelihood import Likelihood, log_gain
 
-__all__ = ["Score", "Signature", "motion_of", "score", "scores", "signatures", "usual_errors"]
+__all__ = ["Score", "Signature", "likeliest", "motion_of", "score", "scores", "signatures", "usual_errors"]
 
 CELLS_IN_ONE = ("body", "velocity", "setup", "")  # stages whose laws cost little where they are at 0, asked in one system
 LEAST, MOST = 0.2, 5.0  # times the probing motion: outside of it a signature is measured again
@@ -245,6 +245,14 @@ def _scaled(candidate, slopes, fitted, config) -> Signature:
 def score(likelihood: Likelihood, residual, signature: Signature) -> Score:
     """Of one candidate; see ``scores``."""
     return scores(likelihood, residual, [signature])[0]
+
+
+def likeliest(found: Iterable[Score]) -> dict[str, float]:
+    """By effect, in the order in which they come, the log evidence of its likeliest candidate."""
+    best: dict[str, float] = {}
+    for one in found:
+        best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
+    return best
 
 
 def scores(likelihood: Likelihood, residual, catalogue: Sequence[Signature]) -> list[Score]:

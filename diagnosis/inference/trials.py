@@ -13,7 +13,7 @@ from .covariance import Prior
 from .evidence import Evidence
 from .forward import Forward
 from .refit import Refit, Start, begun, refitted
-from .scan import Score, Signature
+from .scan import Score, Signature, likeliest
 from .search import Asked
 from .significance import Significance
 
@@ -115,8 +115,8 @@ def _likely(test: Significance, catalogue: Sequence[Signature], config: Diagnosi
 def _in_order(scores: Sequence[Score], led: Mapping[str, float]) -> list[str]:
     """Names of effects, the likeliest first: by the better of linear evidence, of any candidate, and that of the best start (``led``)."""
     best = dict(led)
-    for one in scores:
-        best[one.name] = max(best.get(one.name, -np.inf), one.log_evidence)
+    for name, evidence in likeliest(scores).items():
+        best[name] = max(best.get(name, -np.inf), evidence)
     return sorted(best, key=lambda name: -best[name])
 
 
