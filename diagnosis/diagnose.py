@@ -8,6 +8,7 @@ from typing import Any
 from ..datasets.scenario import Scenario
 from .asking import ask
 from .config import MEMBERS, of_preset
+from .motors import ask_joints, is_moved_by_motors
 from .outcome import Outcome
 from .springs import Diagnosis, ask_springs
 from .suitable import has_continuum
@@ -38,7 +39,8 @@ def diagnose(
     the object on all of theirs; it is then taken as adequate for them, and what this recording adds is what is asked. "auto" is a continuum
     where the body is tracked all over and not seen below the told ground, or a cable with markers that stands alone, or recordings are
     several. Beside ``fitted_on`` a continuum of markers needs at least eight (``inference.peers``). Held-out frames and ``transfer``
-    recordings are simulated and never fitted. ``against``, for a continuum: sound recordings of the same command.
+    recordings are simulated and never fitted. ``against``, for a continuum: sound recordings of the same command; of markers that motors
+    move, which no twin has, joints are compared in the place of a twin (``joints``).
     ``preset`` is quick or full, ``weights`` another calibration of the decision on springs than the one that ships.
     Raises ValueError for an unknown twin or preset, what the twin has no use for, or a recording that is too short.
     """
@@ -46,6 +48,8 @@ def diagnose(
     if twin not in TWINS:
         raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
     config = of_preset(MEMBERS, preset)
+    if against and len(recordings) == 1 and not fitted_on and twin != "springs" and is_moved_by_motors(recordings[0], config):
+        return ask_joints(recordings[0], against, config, transfer=transfer, progress=progress)
     if twin == "auto":
         several = len(recordings) != 1 or bool(against)
         twin = "continuum" if several or has_continuum(recordings[0], fitted_on) else "springs"

@@ -21,7 +21,7 @@ class Real:
 
     study: Annotated[Positional[str], arg(metavar="STUDY")]
     """cables: ropes held at both ends (DEFORM), extended term by term. hand, weight, gravity: something is kept from the twin. loads: free
-    releases of a trunk with several loads."""
+    releases of a trunk with several loads; commands: what its motors do with several."""
     data: Annotated[Path, arg(metavar="PATH")] = Path("data_set")
     """Folder of the recordings: for cables data_set, for the others what holds data_set, dataset, softbeam and trunk."""
     seeds: Annotated[tuple[int, ...], arg(metavar="INT ...")] = (0, 1, 2)
@@ -32,11 +32,10 @@ class Real:
     """Folder for the tables."""
 
     def __call__(self) -> int:
-        from .. import real_cables, real_cases, real_loads
+        from .. import real_cables, real_cases, real_commands, real_loads
 
-        studies = {"cables": real_cables.run, "loads": real_loads.run} | dict.fromkeys(
-            real_cases.CASES, partial(real_cases.run, self.study)
-        )
+        studies = {"cables": real_cables.run, "commands": real_commands.run, "loads": real_loads.run}
+        studies |= dict.fromkeys(real_cases.CASES, partial(real_cases.run, self.study))
         known("study", [self.study], studies)
         known("device", [self.device], DEVICES)
         options: dict[str, Any] = {"seeds": self.seeds} if self.study == "cables" else {}

@@ -91,14 +91,23 @@ def comparable(case: Scenario, sound: Scenario) -> Scenario:
         apart = float(np.sqrt(((sound.controllers - case.controllers) ** 2).sum(-1).mean()))
         if apart > HANDS:
             raise ValueError(f"hands must be within {1e3 * HANDS:g} mm of those they are compared with, got {1e3 * apart:.1f} mm{where}")
-    if (case.actuation is None) != (sound.actuation is None) or (
-        case.actuation is not None and sound.actuation is not None and not np.allclose(case.actuation, sound.actuation)
-    ):
-        raise ValueError(f"further inputs must be those of the recording they are compared with, and differ{where}")
+    if (differ := _inputs_differ(case.actuation, sound.actuation)) is not None:
+        raise ValueError(f"further inputs must be those of the recording they are compared with, got {differ}{where}")
     middles = [one.points[0][one.visible[0]].mean(0) for one in (case, sound)]
     if (far := float(np.linalg.norm(middles[1] - middles[0]))) > BEGINS:
         raise ValueError(f"bodies must begin within {1e3 * BEGINS:g} mm of each other, got {1e3 * far:.1f} mm{where}")
     return sound
+
+
+def _inputs_differ(one, other) -> str | None:
+    """How far further inputs differ, in words; None where they do not."""
+    if one is None or other is None or one.shape != other.shape:
+        told = ["none" if a is None else f"{a.shape}" for a in (one, other)]
+        return None if one is None and other is None else f"{told[0]} and {told[1]}"
+    if np.allclose(one, other):
+        return None
+    share = np.sqrt(((one - other) ** 2).mean(0)) / np.maximum(other.std(0), 1e-12)
+    return f"input {int(share.argmax())} that differs by {share.max():.2g} of how far it varies"
 
 
 def until(case: Scenario, sound: Sequence[Scenario]) -> Scenario:

@@ -23,6 +23,7 @@ EFFECTS = {
     "viscoelastic": "stress that relaxes with time (viscoelasticity)",
     "internal_friction": "dry friction inside the material",
     "added_mass": "additional mass on a part of the body",
+    "stiffness": "another stiffness of the body",
     "pressure": "pressure inside the body",
     "friction_law": "another law of friction with the ground",
     "ground_adhesion": "a ground that the body sticks to",
