@@ -1,13 +1,14 @@
 """How the joints of a hanging chain of markers bend otherwise under one command, and which weight or stiffness would do that.
 
 Motors that no twin has (tendons, say) bend a body alike in two recordings of one command. A joint, which is a marker between two parts
-of the chain, bends by beta = M / k under the moment M of all that acts beyond it, k its stiffness [N m/rad]. So a further weight W at a
-marker beyond it adds
+of the chain, bends by beta = M / k under the moment M of all that acts beyond it, k its stiffness [N m/rad], about axes that go along with
+the part before. So a further weight W at a marker beyond it adds
 
     d beta = (W / k) r x g,    r [m] from the joint to that marker, g the unit vector of gravity,
 
-at all joints before that marker and at none behind it, and a joint that is stiffer by a share s bends by d beta = -s beta. The sound
-recording tells r and beta; W / k, which is not negative, and s are fitted. How stiff joints are, and so how much W weighs, two recordings
+at all joints before that marker and at none behind it, and a joint whose stiffness is exp(s) times as large bends by d beta = -s beta. The
+mean of all recordings tells r and beta: what runs of one command stray by is then in no way alike in them and in the difference, and both
+laws are right to second order. W / k, which is not negative, and s are fitted. How stiff joints are, and so how much W weighs, recordings
 of slow motions do not tell. What differs alike all the time (a marker that was fastened elsewhere, a tilted base) is left out by its mean.
 """
 
@@ -21,13 +22,14 @@ import numpy as np
 
 from ..datasets.scenario import Scenario
 from ..methods.continuum.chains import marked_chains
+from ..physics.hinges import transport
 
 __all__ = ["BIN", "MASS", "STIFFNESS", "Chain", "Difference", "Explanation", "chain_of", "compared"]
 
 MASS, STIFFNESS = "added_mass", "stiffness"
 ASKED = ((MASS,), (STIFFNESS,), (MASS, STIFFNESS))
 BIN = 0.5  # s of which means are taken: a free swing of such a body, over which inertia averages out
-APART = 10.0  # s by which the sound recording is shifted in time at least, where it is to tell nothing
+APART = 10.0  # s by which the mean recording is shifted in time at least, where it is to tell nothing
 SHIFTS = 199  # at most: a p-value goes down to 0.005
 ROUNDS = 2  # in which slopes and how errors go on are told from each other
 FEWEST = 40  # bins: a dozen for each of the numbers of three joints
@@ -46,19 +48,29 @@ class Chain:
     down: np.ndarray
 
     @cached_property
-    def across(self) -> np.ndarray:
-        """(2, 3), the directions about which weights turn."""
-        return np.linalg.svd(self.down[None])[2][1:]
+    def ways(self) -> np.ndarray:
+        """(B, J + 1, 3), unit vectors of the parts, the one before the first joint first."""
+        ways = np.diff(self.places, axis=1)
+        return np.concatenate([self.base[:, None], ways / np.linalg.norm(ways, axis=2, keepdims=True)], axis=1)
+
+    @cached_property
+    def frames(self) -> np.ndarray:
+        """(B, J, 2, 3), the axes about which a joint bends: across the part before it, carried along from part to part without a twist."""
+        before, found = np.broadcast_to(self.down, self.base.shape), []
+        axes = [np.broadcast_to(axis, self.base.shape) for axis in np.linalg.svd(self.down[None])[2][1:]]
+        for way in self.ways[:, :-1].swapaxes(0, 1):
+            axes = [transport(axis, before, way) for axis in axes]
+            found.append(np.stack(axes, 1))
+            before = way
+        return np.stack(found, 1)
 
     @cached_property
     def bends(self) -> np.ndarray:
-        """(B, J, 2) rad: the rotation from a part to the next, about ``across``."""
-        ways = np.diff(self.places, axis=1)
-        ways = np.concatenate([self.base[:, None], ways / np.linalg.norm(ways, axis=2, keepdims=True)], axis=1)
-        axis = np.cross(ways[:, :-1], ways[:, 1:])
+        """(B, J, 2) rad: the rotation from a part to the next, about the joint's ``frames``."""
+        axis = np.cross(self.ways[:, :-1], self.ways[:, 1:])
         size = np.linalg.norm(axis, axis=2, keepdims=True)
-        angle = np.arctan2(size, (ways[:, :-1] * ways[:, 1:]).sum(2, keepdims=True))
-        return (axis * angle / np.maximum(size, 1e-12)) @ self.across.T
+        angle = np.arctan2(size, (self.ways[:, :-1] * self.ways[:, 1:]).sum(2, keepdims=True))
+        return np.einsum("bji,bjci->bjc", axis * angle / np.maximum(size, 1e-12), self.frames)
 
     @cached_property
     def levers(self) -> np.ndarray:
@@ -68,12 +80,13 @@ class Chain:
 
     @cached_property
     def moments(self) -> np.ndarray:
-        """(B, J, J, 2) m, r x g."""
-        return np.cross(self.levers, self.down) @ self.across.T
+        """(B, J, J, 2) m, r x g about the joint's ``frames``."""
+        return np.einsum("bjki,bjci->bjkc", np.cross(self.levers, self.down), self.frames)
 
     def moved(self, bends: np.ndarray) -> np.ndarray:
         """(B, J, 3) m, how far joints that bend by a little more, ``bends`` (B, J, 2) rad, move the markers beyond the first joint."""
-        return np.cross((bends @ self.across)[:, :, None], self.levers).sum(1)
+        turns = np.einsum("bjc,bjci->bji", bends, self.frames)
+        return np.cross(turns[:, :, None], self.levers).sum(1)
 
     def shifted(self, by: int) -> Chain:
         """The same, ``by`` bins later."""
@@ -84,7 +97,7 @@ class Chain:
 class Explanation:
     """names    of what acts; ``marker`` the one that is heavier, the first beyond the first joint is 0, or -1
     nats        by which it is likelier than nothing, less half the log of the number of bins for each number (Schwarz 1978)
-    values      (2, J): W / k [1/m] and s of each joint, 0 where not asked, with standard deviations ``sds`` (2, J)
+    values      (2, J): W / k [1/m] and s, a logarithm, of each joint, 0 where not asked, with standard deviations ``sds`` (2, J)
     bends       (B, J, 2) rad, how it says that the joints bend otherwise; ``moved`` (B, J, 3) m the markers
     """
 
@@ -103,7 +116,7 @@ class Difference:
                 (B,) bins
     explanations  the likeliest first; ``p`` that a motion which has nothing to do with the difference explains as much of it, and
                   ``usual``, the nats that 97 of 100 such motions stay below
-    chain, order  of the sound recording, and the markers of the chain from the last held one on
+    chain, order  the mean of all recordings, and the markers of the chain from the last held one on
     """
 
     differ: np.ndarray
@@ -168,7 +181,7 @@ def _binned(tracks, fps):
 def compared(case: Scenario, sound: Sequence[Scenario], *, seed: int = 0) -> Difference:
     """How ``case`` differs from the mean of ``sound`` recordings of the same command.
 
-    Numbers are fitted to the bins of the train frames. p is the rank of the largest evidence among those of the sound recording shifted in
+    Numbers are fitted to the bins of the train frames. p is the rank of the largest evidence among those of the mean recording shifted in
     time against the difference, in which either goes on from bin to bin as it does (Theiler and others 1992). From itself a recording does
     not differ, and p is 1. Raises ValueError as ``chain_of``; for recordings of other markers, rate or length, whose hands or motors go
     otherwise; and where fewer than ``FEWEST`` bins of the train frames show all markers in all of them.
@@ -177,7 +190,7 @@ def compared(case: Scenario, sound: Sequence[Scenario], *, seed: int = 0) -> Dif
         _check_command(case, one)
     own, order = chain_of(case)
     chains = [chain_of(one)[0] for one in sound]
-    chain = replace(chains[0], places=np.mean([c.places for c in chains], 0), base=np.mean([c.base for c in chains], 0))
+    chain = replace(own, **{name: np.mean([getattr(c, name) for c in (own, *chains)], 0) for name in ("places", "base")})
     differ = own.bends - np.mean([c.bends for c in chains], 0)
     fitted = np.arange(len(differ)) < case.split.train_end // max(1, round(BIN * case.fps))
     seen = np.isfinite(differ).all((1, 2))
@@ -191,7 +204,8 @@ def compared(case: Scenario, sound: Sequence[Scenario], *, seed: int = 0) -> Dif
         rolled = [(chain.shifted(by), seen & np.roll(seen, by)) for by in shifts]
         others = np.array([_explained(differ, other, there, fitted)[0].nats for other, there in rolled])
         p, usual = float((1 + np.sum(others >= found[0].nats)) / (1 + len(others))), float(np.quantile(others, 0.97))
-    return Difference(own.places[:, 1:] - chain.places[:, 1:], differ, seen, fitted, tuple(found), p, usual, chain, order)
+    far = own.places - np.mean([c.places for c in chains], 0)
+    return Difference(far[:, 1:], differ, seen, fitted, tuple(found), p, usual, chain, order)
 
 
 def _check_command(case: Scenario, sound: Scenario) -> None:
@@ -212,20 +226,20 @@ def _check_command(case: Scenario, sound: Scenario) -> None:
         raise ValueError(f"motors must go within {MOTORS:g} of how far they vary, got {said}{where}")
 
 
-def _explained(differ, sound: Chain, seen, fitted) -> list[Explanation]:
+def _explained(differ, chain: Chain, seen, fitted) -> list[Explanation]:
     """All explanations, the likeliest first."""
     joints = range(differ.shape[1])
-    found = [_explanation(names, marker, differ, sound, seen, fitted) for names in ASKED for marker in (joints if MASS in names else (-1,))]
+    found = [_explanation(names, marker, differ, chain, seen, fitted) for names in ASKED for marker in (joints if MASS in names else (-1,))]
     return sorted(found, key=lambda one: -one.nats)
 
 
-def _explanation(names, marker: int, differ, sound: Chain, seen, fitted) -> Explanation:
+def _explanation(names, marker: int, differ, chain: Chain, seen, fitted) -> Explanation:
     used, count = seen & fitted, differ.shape[1]
     values, sds, nats, free = np.zeros((2, count)), np.zeros((2, count)), 0.0, 0
     bends = np.broadcast_to(differ[used].mean(0), differ.shape).copy()
     for j in range(count):
-        ways = {0: sound.moments[:, j, marker]} if MASS in names and j <= marker else {}
-        ways |= {1: -sound.bends[:, j]} if STIFFNESS in names else {}
+        ways = {0: chain.moments[:, j, marker]} if MASS in names and j <= marker else {}
+        ways |= {1: -chain.bends[:, j]} if STIFFNESS in names else {}
         free += len(ways)
         while ways:
             found = _regressed(differ[:, j], np.stack(list(ways.values()), 2), used)
@@ -237,7 +251,7 @@ def _explanation(names, marker: int, differ, sound: Chain, seen, fitted) -> Expl
             nats += gained
             break
     nats -= free / 2 * np.log(max(2, int(used.sum())))
-    return Explanation(tuple(names), marker, float(nats), values, sds, bends, sound.moved(bends))
+    return Explanation(tuple(names), marker, float(nats), values, sds, bends, chain.moved(bends))
 
 
 def _regressed(differ, ways, used) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:

@@ -88,11 +88,9 @@ def _verdict(found: Difference, config: DiagnosisConfig) -> tuple[str, tuple[str
     best = found.explanations[0]
     if not found.gain(best) > 0:
         return "unknown", ()
-    near = [e for e in found.explanations if best.nats - e.nats < config.clearly]
-    names = tuple(dict.fromkeys(name for e in near for name in e.names))
-    alone = {n: found.best(n).nats for n in (MASS, STIFFNESS)}
-    names = tuple(sorted(names, key=lambda n: -alone[n]))
-    return ("missing" if names == best.names and len(names) == 1 else "ambiguous"), names
+    alone = {n: found.best(n).nats for n in sorted((MASS, STIFFNESS), key=lambda n: -found.best(n).nats)}
+    suffice = tuple(n for n, nats in alone.items() if best.nats - nats < config.clearly)
+    return ("missing" if len(suffice) == 1 else "ambiguous"), suffice or tuple(alone)
 
 
 def _probabilities(found: Difference, names: Sequence[str]) -> dict[str, float]:
@@ -105,7 +103,7 @@ def _probabilities(found: Difference, names: Sequence[str]) -> dict[str, float]:
         places = sum(one.names == other.names for other in found.explanations)
         for name in one.names:
             weights[name] += float(np.exp(one.nats - found.explanations[0].nats)) / places / len(one.names)
-    whole = sum(weights.values())
+    whole = sum(weights[n] for n in names)
     shares = {n: round((1 - sound) * w / whole, 4) for n, w in weights.items() if n in names}
     return {"adequate": round(sound, 4)} | shares | {"unknown": 0.0}
 
