@@ -6,8 +6,9 @@ motion, and for some how much less of the body than was told the fit lets a hand
 sound, of the same kind of body and weighed with the same config and the same usual errors of recordings; so is, for some, how far tracks
 beside a hand stray from where it would carry them. They are taken as draws of a
 Student t whose place, scale and degrees of freedom are the likeliest (``tails``): a sound recording that lies far out then makes the tail
-heavier and leaves the rest alone, and p goes on where ranks among n end at 1 / (1 + n). What the most surprising of them costs hangs on how
-much they go together, which these recordings tell as well.
+heavier and leaves the rest alone, and p goes on where ranks among n end at 1 / (1 + n). What the most surprising of them costs is how often
+these recordings have any that is: it hangs on how much they go together, and what other recordings may be off by further (``usual``) makes
+a statistic less surprising, and no other more.
 
 ``python -m twinbench.diagnosis.inference.controls FILE ...`` freezes the sound rows of ``benchmark.concealed_inference``; kinds of body of
 which there are none stay as they were frozen.
@@ -120,7 +121,11 @@ class Controls:
         """Of those statistics of a recording that are known of sound ones: of the most surprising one, that any is."""
         given = [k for k, name in enumerate(self.names) if name in standardised]
         rarest = min(float(self.tails[self.names[k]].beyond(standardised[self.names[k]])) for k in given)
-        return any_beyond(rarest, self.together[np.ix_(given, given)])
+        return self._any(rarest, given)
+
+    def _any(self, p: float, given: Sequence[int]) -> float:
+        """The share of these recordings of which one of the ``given`` statistics is as rare as ``p``; ``p`` at least."""
+        return max(p, any_beyond([self.tails[self.names[k]].within(p) for k in given], self.together[np.ix_(given, given)]))
 
     def least(self, misfit: float, share: float) -> float:
         """The smaller p of a misfit, as a logarithm over its members', and of a ``share`` of the motion, where that is known."""
@@ -131,7 +136,8 @@ class Controls:
         """The largest score, as a logarithm over members', above which p is below ``level`` whatever the misfit."""
         from scipy.optimize import brentq
 
-        return self.tails["scan"].at(float(brentq(lambda p: any_beyond(p, self.together) - level, level / (2 * len(self.tails)), level)))
+        given = range(len(self.names))
+        return self.tails["scan"].at(float(brentq(lambda p: self._any(p, given) - level, level / (2 * len(self.tails)), level)))
 
 
 def _group(kind: str, recordings: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -36,6 +36,10 @@ class Tail:
         likely = t.logpdf(values, tried[:, None], places[:, None], scales[:, None]).sum(1)
         best = int(np.argmax(likely))
         return cls(float(places[best]), float(scales[best]), float(tried[best]))
+
+    def within(self, p: float) -> float:
+        """The share of the recordings it was told by, which have no ``further`` error, that are beyond the value of ``p``."""
+        return float(replace(self, further=0.0).beyond(self.at(p))) if self.further and p > 0 else p
 
     def beyond(self, values):
         """p that a sound recording's is as large, of each of ``values``."""
@@ -85,13 +89,14 @@ def going_together(values, tails: Sequence[Tail]) -> np.ndarray:
     return np.where(np.eye(len(tails)) > 0, 1.0, np.clip(np.nan_to_num(found), -CLOSEST, CLOSEST))
 
 
-def any_beyond(p: float, correlation) -> float:
-    """Probability that at least one of k statistics is as rare as ``p``, which are normal deviates of ``correlation`` (k, k), as a Gaussian
-    copula has it (Nelsen 2006, section 2.3): 1 - (1 - p)^k where none goes with another, p where all are one."""
+def any_beyond(p, correlation) -> float:
+    """Probability that at least one of k statistics is as rare as ``p``, or (k,) each as its own, which are normal deviates of
+    ``correlation`` (k, k), as a Gaussian copula has it (Nelsen 2006, section 2.3): 1 - (1 - p)^k where none goes with another, p where all
+    are one."""
     from scipy.stats import norm
 
     correlation = np.asarray(correlation, float)
-    return float(_beyond(np.full((1, len(correlation)), norm.isf(p)), correlation)[0])
+    return float(_beyond(norm.isf(np.broadcast_to(p, (1, len(correlation)))), correlation)[0])
 
 
 @cache

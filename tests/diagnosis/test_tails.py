@@ -37,6 +37,14 @@ def test_a_further_error_is_added_to_a_tail(degrees, far):
     assert tail.beyond([far, far]).shape == (2,)
 
 
+@pytest.mark.parametrize("p", [1e-9, 0.03, 0.4])
+def test_of_those_that_have_no_further_error_fewer_are_as_rare(p):
+    # normal with 0.12 and 0.3 beside: at p it is hypot(0.12, 0.3) deviates out, and so so many of 0.12
+    tail = Tail(0.2, 0.12, 1e6, 0.3)
+    assert tail.within(p) == pytest.approx(norm.sf(norm.isf(p) * np.hypot(0.12, 0.3) / 0.12), rel=1e-3)
+    assert Tail(0.2, 0.12, 4.0).within(p) == p
+
+
 def test_a_further_error_that_is_nothing_changes_nothing():
     assert Tail(0.2, 0.12, 4.0, 1e-9).beyond(0.7) == pytest.approx(Tail(0.2, 0.12, 4.0).beyond(0.7), rel=1e-6)
 
@@ -46,6 +54,13 @@ def test_a_further_error_that_is_nothing_changes_nothing():
 def test_what_does_not_go_together_costs_as_many_times_as_there_are(count, p):
     # 1 - (1 - p)^k, to rounding also where it is as small as a recording with a hand kept back has it
     assert any_beyond(p, np.eye(count)) == pytest.approx(-np.expm1(count * np.log1p(-p)), rel=1e-12)
+
+
+def test_statistics_may_be_rare_each_in_its_own_way():
+    # 1 - (1 - a)(1 - b), and by Genz's integral where they go together
+    assert any_beyond([0.03, 0.2], np.eye(2)) == pytest.approx(1 - 0.97 * 0.8, rel=1e-12)
+    inside = multivariate_normal.cdf(norm.isf([0.03, 0.2]), cov=[[1.0, 0.62], [0.62, 1.0]], abseps=1e-8, releps=1e-8)
+    assert any_beyond([0.03, 0.2], [[1.0, 0.62], [0.62, 1.0]]) == pytest.approx(1 - inside, abs=1e-6)
 
 
 @pytest.mark.parametrize("p", [0.001, 0.03, 0.4])
