@@ -14,6 +14,7 @@ from ..datasets.scenario import Scenario
 from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .inference.blocks import is_marked
+from .inference.contrast import as_long, until
 from .joints import BIN, MASS, STIFFNESS, Difference, Explanation, compared
 from .outcome import SCHEMA, Outcome, chance_of_sound
 from .page.words import effect_name
@@ -38,14 +39,15 @@ def ask_joints(
     transfer: Sequence[Scenario] = (),
     progress: Callable[[str], None] = lambda said: None,
 ) -> Outcome:
-    """How ``case`` differs from sound recordings of the same command (``against``), by its joints.
+    """How ``case`` differs from sound recordings of the same command (``against``), by its joints, over the frames that all have.
 
     A name is sure where it alone explains the difference as well as anything does; where two do, or both at once do clearly better, the
     recording cannot tell them apart. Raises ValueError as ``compared``, and for a ``transfer`` recording, which nothing here could predict.
     """
     if transfer:
         raise ValueError(f"what motors move is not simulated, so that a transfer recording says nothing, got {transfer[0].name}")
-    begun = time.time()
+    begun, case = time.time(), until(case, against)
+    against = [as_long(one, case) for one in against]
     progress("comparing joints")
     found = compared(case, against)
     verdict, names = _verdict(found, config)

@@ -39,8 +39,8 @@ def test_p_values_of_two_statistics_that_go_together_are_uniform():
 
 
 def test_p_values_are_uniform_where_others_may_have_further_errors():
-    # sound hands differ by 0.03, others may by 0.15 more (``held``): a statistic that hardly ever surprises then. It would cost as much as one
-    # that does if it were priced by that, and p would be too high
+    # sound hands differ by 0.03, others may by 0.15 more (``held``): a statistic that hardly ever surprises then. It would cost as much as
+    # one that does if it were priced by that, and p would be too high
     random = np.random.default_rng(8)
     draws, names = random.normal(size=(400, 61, 3)) * [1.0, 1.0, 0.03], (*BOTH, "grip")
     p = np.array([Controls(d[1:], names, {"grip": 0.15}).p(dict(zip(names, d[0], strict=True))) for d in draws])

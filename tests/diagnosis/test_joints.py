@@ -147,6 +147,13 @@ def test_a_weight_and_another_stiffness_are_said_to_be_two_readings(sound):
     assert found["why"].startswith("Both at once explain it better")
 
 
+def test_the_frames_are_compared_that_all_have(sound):
+    case = driven("loaded", MOMENTS, wander=WANDER, seed=3, weights=(0, 0, 1.0))
+    found = ask_joints(case, [sound.shortened(450, 450)], CONFIG).result
+    assert found["effect"] == "added_mass" and found["when"]["frames"] == [0, 450]
+    assert [one["frames"] for one in found["evidence"]["recordings"]] == [450, 450]
+
+
 def test_what_is_not_comparable_is_refused(sound):
     def refused(case, words, **options):
         with pytest.raises(ValueError, match=words):
