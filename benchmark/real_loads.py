@@ -2,7 +2,7 @@
 
 The load that was recorded in two sessions is the sound one: a twin is fitted to all of the first session's releases and to the first half
 of the second's, and those of the other half must be adequate. Releases with another load lack what loads differ by. Each is tested alone,
-and some are asked together, with refits.
+and some are asked together, with refits. How fast they swing beside the sound ones is told without a twin (``diagnosis.swings``).
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from ..diagnosis.inference.peers import compared, there
 from ..diagnosis.inference.phases import Answer, tested
 from ..diagnosis.inference.scan import likeliest
 from ..diagnosis.inference.significance import Significance
+from ..diagnosis.swings import faster
 
-__all__ = ["Releases", "releases", "run"]
+__all__ = ["Releases", "releases", "run", "swings"]
 
 SECONDS = 3.33  # of a release, all of which are fitted: four swings, after which the trunk rests; shorter ones are left out
 TOGETHER = 4  # releases that are asked together
@@ -59,10 +60,13 @@ def releases(folder: Path) -> Releases:
 
 
 def run(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", progress=print) -> list[dict]:
-    """Ask all releases in ``data``/trunk; ``out``/loads.csv."""
+    """Ask all releases in ``data``/trunk; ``out``/loads.csv, and ``out``/swings.csv of how fast they swing."""
     import pandas as pd
 
     found, config, rows = releases(data / "trunk"), of_preset(MEMBERS, preset), []
+    for row in (swung := swings(found)):
+        progress(" | ".join(f"{k} {v}" for k, v in row.items()))
+    pd.DataFrame(swung).to_csv(out / "swings.csv", index=False)
     twin = sound_twin(found.sound, config, device=device)
 
     def told(cases: Sequence[Scenario], load: str | None, begun: float, test: Significance, answer: Answer | None = None) -> None:
@@ -78,6 +82,27 @@ def run(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", pr
             begun, cases = time.time(), group[k : k + TOGETHER]
             answer = asked(cases, config, fitted_on=found.sound, twin=twin).answer
             told(cases, load, begun, answer.test, answer)
+    return rows
+
+
+def swings(found: Releases) -> list[dict]:
+    """A row for the equal releases and for each other load: how much faster they swing at equal amplitude, alone and together, beside the
+    sound ones and beside the first session's alone."""
+    files = [one.name.split("/")[0] for one in found.sound]
+    first = [one for one, file in zip(found.sound, files, strict=True) if file == files[0]]
+    second = [one for one, file in zip(found.sound, files, strict=True) if file != files[0]]
+    groups: dict[str, Sequence[Scenario]] = {"equal": found.equal, **found.others}
+    asked = [(load, "both sessions", group, found.sound) for load, group in groups.items()]
+    asked += [(load, "first session", [*second, *group] if load == "equal" else group, first) for load, group in groups.items()]
+    rows = []
+    for load, beside, group, sound in asked:
+        alone = [one.p for one in (faster([case], sound) for case in group) if one]
+        row = dict(load=load, beside=beside, releases=len(group), told=len(alone), alone_below_3_percent=sum(p < 0.03 for p in alone))
+        if told := faster(group, sound):
+            share, low, high = told.heavier()
+            row |= dict(log_rate=round(told.log_rate, 4), sd=round(told.sd, 4), p=float(f"{told.p:.3g}"))
+            row |= dict(heavier=round(share, 3), heavier_low=round(low, 3), heavier_high=round(high, 3))
+        rows.append(row)
     return rows
 
 

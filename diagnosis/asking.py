@@ -28,6 +28,7 @@ from .inference.planning import Plan
 from .inference.settling import left, settled
 from .outcome import Outcome, verdict_of
 from .suitable import suitable
+from .swings import Faster, faster
 
 __all__ = ["Asked", "ask", "asked", "informed", "sound_twin", "told_twin"]
 
@@ -44,13 +45,14 @@ Tell = Callable[[str], None]
 @dataclass(frozen=True, eq=False)
 class Asked:
     """The sound twin, what was gathered and answered, and the twin with what was named, or None; the ``tracks`` that it was told of as a
-    hand's."""
+    hand's; how much ``faster`` the recordings swing than sound ones, where they do by themselves."""
 
     twin: ContinuumTwin
     evidence: Evidence
     answer: Answer
     told: ContinuumTwin | None
     tracks: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    faster: Faster | None = None
 
 
 def sound_twin(recordings: Sequence[Scenario], config: DiagnosisConfig, *, seed: int = 0, device: str = "cpu") -> ContinuumTwin:
@@ -133,7 +135,7 @@ def asked(
             return Asked(twin, evidence, answer, hold.twin, hold.tracks)
     beside, first = bool(fitted_on or against), answer.named[0] if answer.verdict == "named" else None
     told = _with(first, twin, evidence, config, beside=beside, seed=seed, progress=progress) if first else None
-    return Asked(twin, evidence, answer, told)
+    return Asked(twin, evidence, answer, told, faster=faster(recordings, known) if asking.peers else None)
 
 
 def informed(

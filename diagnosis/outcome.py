@@ -376,6 +376,7 @@ def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:
         said.append(f"{len(lost.tracks)} of {len(lost.far)} tracks leave their neighbours, by {moved:.0f} mm (p = {lost.p:.2g}).")
     if answer.verdict == "adequate":
         said.append("Effects below the sizes listed as detectable may still be there.")
+    said += [found.faster.said()] if found.faster else []
     return said + ([found.twin.note] if found.twin.note else [])
 
 
