@@ -68,8 +68,9 @@ class Faster:
 
 
 def swing_of(recording: Scenario) -> Swing | None:
-    """None where it is no chain that hangs from one end, where hands or motors move it, or where it does not swing as one oscillation of
-    ``LEAST`` and more."""
+    """By the train frames of a recording. None where it is no chain that hangs from one end, where hands or motors move it, or where it
+    does not swing as one oscillation of ``LEAST`` and more."""
+    recording = recording.shortened(recording.split.train_end)
     moved = np.linalg.norm(recording.controllers - recording.controllers[:1], axis=2).max(initial=0.0)
     if recording.actuation is not None or moved > STILL:
         return None
