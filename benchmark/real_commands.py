@@ -16,7 +16,7 @@ import numpy as np
 from ..datasets.collection import open_collection
 from ..diagnosis.config import MEMBERS, of_preset
 from ..diagnosis.joints import MASS, STIFFNESS, Difference, compared
-from ..diagnosis.motors import ask_joints
+from ..diagnosis.motors import judged
 
 __all__ = ["run"]
 
@@ -36,10 +36,8 @@ def run(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", pr
     for (lighter, sound), (heavier, case) in pairs:
         begun = time.time()
         found = compared(recordings[case], [recordings[sound]])
-        said = ask_joints(recordings[case], [recordings[sound]], config).result
-        row = dict(
-            load=heavier, beside=lighter, verdict=said["verdict"], effect=said["effect"], alternatives=" ".join(said["alternatives"])
-        )
+        verdict, names = judged(found, config)
+        row = dict(load=heavier, beside=lighter, verdict=verdict, effect=names[0] if names else None, alternatives=" ".join(names[1:]))
         rows.append(row | _row(found) | dict(seconds=round(time.time() - begun, 1)))
         progress(" | ".join(f"{k} {v}" for k, v in rows[-1].items()))
         pd.DataFrame(rows).to_csv(out / "commands.csv", index=False)

@@ -22,7 +22,7 @@ from ..diagnosis.inference.peers import compared, there
 from ..diagnosis.inference.phases import Answer, tested
 from ..diagnosis.inference.scan import likeliest
 from ..diagnosis.inference.significance import Significance
-from ..diagnosis.swings import faster
+from ..diagnosis.swings import Swing, faster, swing_of
 
 __all__ = ["Releases", "releases", "run", "swings"]
 
@@ -88,17 +88,19 @@ def run(data: Path, out: Path, *, preset: str = "quick", device: str = "cpu", pr
 def swings(found: Releases) -> list[dict]:
     """A row for the equal releases and for each other load: how much faster they swing at equal amplitude, alone and together, beside the
     sound ones and beside the first session's alone."""
-    files = [one.name.split("/")[0] for one in found.sound]
-    first = [one for one, file in zip(found.sound, files, strict=True) if file == files[0]]
-    second = [one for one, file in zip(found.sound, files, strict=True) if file != files[0]]
-    groups: dict[str, Sequence[Scenario]] = {"equal": found.equal, **found.others}
-    asked = [(load, "both sessions", group, found.sound) for load, group in groups.items()]
+    sound, files = [swing_of(one) for one in found.sound], [one.name.split("/")[0] for one in found.sound]
+    first = [one for one, file in zip(sound, files, strict=True) if file == files[0]]
+    second = [one for one, file in zip(sound, files, strict=True) if file != files[0]]
+    groups: dict[str, list[Swing | None]] = {
+        load: [swing_of(one) for one in group] for load, group in {"equal": found.equal, **found.others}.items()
+    }
+    asked = [(load, "both sessions", group, sound) for load, group in groups.items()]
     asked += [(load, "first session", [*second, *group] if load == "equal" else group, first) for load, group in groups.items()]
     rows = []
-    for load, beside, group, sound in asked:
-        alone = [one.p for one in (faster([case], sound) for case in group) if one]
+    for load, beside, group, known in asked:
+        alone = [one.p for one in (faster([case], known) for case in group) if one]
         row = dict(load=load, beside=beside, releases=len(group), told=len(alone), alone_below_3_percent=sum(p < 0.03 for p in alone))
-        if told := faster(group, sound):
+        if told := faster(group, known):
             share, low, high = told.heavier()
             row |= dict(log_rate=round(told.log_rate, 4), sd=round(told.sd, 4), p=float(f"{told.p:.3g}"))
             row |= dict(heavier=round(share, 3), heavier_low=round(low, 3), heavier_high=round(high, 3))

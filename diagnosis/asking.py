@@ -26,9 +26,10 @@ from .inference.peers import are_members, compared, there
 from .inference.phases import Answer, Named, tested, weighed
 from .inference.planning import Plan
 from .inference.settling import left, settled
+from .motors import ask_joints, is_moved_by_motors
 from .outcome import Outcome, verdict_of
 from .suitable import suitable
-from .swings import Faster, faster
+from .swings import Faster, faster, swing_of
 
 __all__ = ["Asked", "ask", "asked", "informed", "sound_twin", "told_twin"]
 
@@ -135,7 +136,11 @@ def asked(
             return Asked(twin, evidence, answer, hold.twin, hold.tracks)
     beside, first = bool(fitted_on or against), answer.named[0] if answer.verdict == "named" else None
     told = _with(first, twin, evidence, config, beside=beside, seed=seed, progress=progress) if first else None
-    return Asked(twin, evidence, answer, told, faster=faster(recordings, known) if asking.peers else None)
+    return Asked(twin, evidence, answer, told, faster=_faster(recordings, known) if asking.peers else None)
+
+
+def _faster(recordings: Sequence[Scenario], sound: Sequence[Scenario]) -> Faster | None:
+    return faster([swing_of(one) for one in recordings], [swing_of(one) for one in sound])
 
 
 def informed(
@@ -246,13 +251,16 @@ def ask(
 
     ``transfer`` recordings are simulated with the twin as it was and with what was named, and never fitted or chosen by. ``fitted_on`` are
     recordings in which nothing is missing: what ``recordings`` have beyond them is asked. ``against`` are such of the same command: what a
-    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked. Beside such, and of markers
+    twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked; of markers that motors move
+    joints are compared (``motors``). Beside such, and of markers
     beside ``inference.peers.FEWEST`` sound recordings and more, the frames are asked that all of them have. Raises ValueError for
     recordings that do not suit (``suitable``, ``inference.contrast.comparable``, ``inference.peers.compared``), or both kinds at once.
     """
     begun, config = time.time(), config or DiagnosisConfig()
     if against and (fitted_on or len(recordings) != 1):
         raise ValueError(f"one recording is compared with sound ones, and nothing else fitted; got {len(recordings)} and {len(fitted_on)}")
+    if against and is_moved_by_motors(recordings[0], config):
+        return ask_joints(recordings[0], against, config, transfer=transfer, progress=progress)
     if beside := against or (fitted_on if recordings and are_members(recordings[0], fitted_on, config) else ()):
         recordings = [until(one, [*recordings, *beside]) for one in recordings]
     suitable(recordings, transfer, fitted_on=fitted_on, against=against, config=config)

@@ -8,7 +8,6 @@ from typing import Any
 from ..datasets.scenario import Scenario
 from .asking import ask
 from .config import MEMBERS, of_preset
-from .motors import ask_joints, is_moved_by_motors
 from .outcome import Outcome
 from .springs import Diagnosis, ask_springs
 from .suitable import has_continuum
@@ -48,8 +47,6 @@ def diagnose(
     if twin not in TWINS:
         raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
     config = of_preset(MEMBERS, preset)
-    if against and len(recordings) == 1 and not fitted_on and twin != "springs" and is_moved_by_motors(recordings[0], config):
-        return ask_joints(recordings[0], against, config, transfer=transfer, progress=progress)
     if twin == "auto":
         several = len(recordings) != 1 or bool(against)
         twin = "continuum" if several or has_continuum(recordings[0], fitted_on) else "springs"

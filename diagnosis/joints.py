@@ -23,8 +23,9 @@ import numpy as np
 from ..datasets.scenario import Scenario
 from ..methods.continuum.chains import marked_chains
 from ..physics.hinges import transport
+from .inference.contrast import check_hands, inputs_apart
 
-__all__ = ["BIN", "MASS", "STIFFNESS", "Chain", "Difference", "Explanation", "chain_of", "compared"]
+__all__ = ["BIN", "MASS", "STIFFNESS", "Chain", "Difference", "Explanation", "chain_of", "compared", "hung"]
 
 MASS, STIFFNESS = "added_mass", "stiffness"
 ASKED = ((MASS,), (STIFFNESS,), (MASS, STIFFNESS))
@@ -34,7 +35,6 @@ SHIFTS = 199  # at most: a p-value goes down to 0.005
 ROUNDS = 2  # in which slopes and how errors go on are told from each other
 FEWEST = 40  # bins: a dozen for each of the numbers of three joints
 MOTORS = 0.2  # of how far a motor's angle varies: measured ones of one command differ by 0.1, of another by more than 1
-HANDS = 0.005  # m, as of any recordings that are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +88,13 @@ class Chain:
         turns = np.einsum("bjc,bjci->bji", bends, self.frames)
         return np.cross(turns[:, :, None], self.levers).sum(1)
 
-    def shifted(self, by: int) -> Chain:
-        """The same, ``by`` bins later."""
-        return replace(self, places=np.roll(self.places, by, axis=0), base=np.roll(self.base, by, axis=0))
-
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """names    of what acts; ``marker`` the one that is heavier, the first beyond the first joint is 0, or -1
     nats        by which it is likelier than nothing, less half the log of the number of bins for each number (Schwarz 1978)
     values      (2, J): W / k [1/m] and s, a logarithm, of each joint, 0 where not asked, with standard deviations ``sds`` (2, J)
-    bends       (B, J, 2) rad, how it says that the joints bend otherwise; ``moved`` (B, J, 3) m the markers
+    bends       (B, J, 2) rad, how it says that the joints bend otherwise
     """
 
     names: tuple[str, ...]
@@ -107,7 +103,6 @@ class Explanation:
     values: np.ndarray
     sds: np.ndarray
     bends: np.ndarray
-    moved: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,21 +134,23 @@ class Difference:
         whole = ((self.bends[rows] - self.bends[used].mean(0)) ** 2).sum()
         return float(1 - ((self.bends[rows] - one.bends[rows]) ** 2).sum() / whole) if whole > 0 else 0.0
 
+    def off(self, one: Explanation | None = None) -> np.ndarray:
+        """(B, J, 3) m between the markers of both recordings, beside what is explained."""
+        return self.differ - (self.chain.moved(one.bends) if one else 0.0)
+
     def left(self, one: Explanation | None = None, *, fitted: bool = False) -> float:
-        """m, the mean distance between the markers of both recordings on frames held out, or ``fitted``, beside what is explained."""
+        """m, the mean distance between them on frames held out, or ``fitted``."""
         rows = self.seen & (self.fitted if fitted else ~self.fitted)
-        off = self.differ[rows] - (one.moved[rows] if one else 0.0)
-        return float(np.linalg.norm(off, axis=2).mean()) if rows.any() else np.nan
+        return float(np.linalg.norm(self.off(one)[rows], axis=2).mean()) if rows.any() else np.nan
 
 
-def chain_of(recording: Scenario) -> tuple[Chain, np.ndarray]:
-    """(The chain of a recording's markers, which of them it is made of, from the last held one on).
+def hung(recording: Scenario) -> tuple[np.ndarray, int]:
+    """(The markers of a recording from its held end on, how many of them are held).
 
-    Raises ValueError where the markers are no single chain that hangs from one end, two of them held.
+    Raises ValueError where they are no single chain that hangs from one end, two of them held.
     """
     where = f" (scenario {recording.name})"
-    tracks = np.where(recording.visible[..., None], recording.points, np.nan)
-    chains = marked_chains(recording.points[0], np.asarray(recording.interior), tracks)
+    chains = marked_chains(recording.points[0], np.asarray(recording.interior), _tracks(recording))
     if len(chains) != 1:
         raise ValueError(f"joints are told of one chain of markers, got {len(chains)}{where}")
     order = np.asarray(chains[0])
@@ -163,10 +160,20 @@ def chain_of(recording: Scenario) -> tuple[Chain, np.ndarray]:
     if count < 2 or not held[:count].all() or len(order) < count + 2:
         said = ", ".join("held" if one else "free" for one in held)
         raise ValueError(f"a chain must be held at one end by two markers or more, and two or more be free; got {said}{where}")
-    places, gravity = _binned(tracks[:, order], recording.fps), np.asarray(recording.gravity, float)
+    return order, count
+
+
+def chain_of(recording: Scenario) -> tuple[Chain, np.ndarray]:
+    """(The chain of a recording's markers, which of them it is made of, from the last held one on). Raises ValueError as ``hung``."""
+    order, count = hung(recording)
+    places, gravity = _binned(_tracks(recording)[:, order], recording.fps), np.asarray(recording.gravity, float)
     base = places[:, count - 1] - places[:, count - 2]
     base = base / np.linalg.norm(base, axis=1, keepdims=True)
     return Chain(places[:, count - 1 :], base, gravity / np.linalg.norm(gravity)), order[count - 1 :]
+
+
+def _tracks(recording):
+    return np.where(recording.visible[..., None], recording.points, np.nan)
 
 
 def _binned(tracks, fps):
@@ -197,12 +204,13 @@ def compared(case: Scenario, sound: Sequence[Scenario], *, seed: int = 0) -> Dif
     if (count := int((seen & fitted).sum())) < FEWEST:
         said = f"recordings of one command must show all markers in {FEWEST} bins of {BIN:g} s that are fitted, got {count}"
         raise ValueError(f"{said} (scenario {case.name})")
-    found, p, usual = _explained(differ, chain, seen, fitted), 1.0, 0.0
+    found, p, usual = _explained(differ, chain.bends, chain.moments, seen & fitted), 1.0, 0.0
     if np.any(differ[seen]):
         least = min(round(APART / BIN), len(differ) // 4)
         shifts = np.random.default_rng(seed).permutation(np.arange(least, len(differ) - least))[:SHIFTS]
-        rolled = [(chain.shifted(by), seen & np.roll(seen, by)) for by in shifts]
-        others = np.array([_explained(differ, other, there, fitted)[0].nats for other, there in rolled])
+        parts = (chain.bends, chain.moments, seen)
+        rolled = (tuple(np.roll(one, by, axis=0) for one in parts) for by in shifts)
+        others = np.array([_explained(differ, bends, moments, there & seen & fitted)[0].nats for bends, moments, there in rolled])
         p, usual = float((1 + np.sum(others >= found[0].nats)) / (1 + len(others))), float(np.quantile(others, 0.97))
     far = own.places - np.mean([c.places for c in chains], 0)
     return Difference(far[:, 1:], differ, seen, fitted, tuple(found), p, usual, chain, order)
@@ -213,45 +221,52 @@ def _check_command(case: Scenario, sound: Scenario) -> None:
     if case.fps != sound.fps or case.points.shape != sound.points.shape or case.controllers.shape != sound.controllers.shape:
         told = f"{case.points.shape} at {case.fps:g} Hz and {sound.points.shape} at {sound.fps:g} Hz"
         raise ValueError(f"recordings of one command must have the same markers, hands, frames and rate, got {told}{where}")
-    apart = float(np.sqrt(((sound.controllers - case.controllers) ** 2).sum(-1).mean()))
-    if apart > HANDS:
-        raise ValueError(f"hands must be within {1e3 * HANDS:g} mm of those they are compared with, got {1e3 * apart:.1f} mm{where}")
+    check_hands(case, sound)
     one, other = case.actuation, sound.actuation
     if one is None or other is None or one.shape != other.shape:
         told = [None if a is None else a.shape for a in (one, other)]
         raise ValueError(f"motors must be told alike in recordings of one command, got {told[0]} and {told[1]}{where}")
-    share = np.sqrt(((one - other) ** 2).mean(0)) / np.maximum(other.std(0), 1e-12)
+    share = inputs_apart(one, other)
     if (most := float(share.max(initial=0.0))) > MOTORS:
         said = f"motor {int(share.argmax())} differs by {most:.2f} of how far it varies"
         raise ValueError(f"motors must go within {MOTORS:g} of how far they vary, got {said}{where}")
 
 
-def _explained(differ, chain: Chain, seen, fitted) -> list[Explanation]:
-    """All explanations, the likeliest first."""
-    joints = range(differ.shape[1])
-    found = [_explanation(names, marker, differ, chain, seen, fitted) for names in ASKED for marker in (joints if MASS in names else (-1,))]
+def _explained(differ, bends, moments, used) -> list[Explanation]:
+    """All explanations of ``differ`` (B, J, 2) by a chain's ``bends`` and ``moments`` in bins that are ``used``, the likeliest first."""
+    found = []
+    for names in ASKED:
+        for marker in range(differ.shape[1]) if MASS in names else (-1,):
+            heavy = moments[:, :, marker] if MASS in names else None
+            found.append(_explanation(names, marker, differ, heavy, -bends if STIFFNESS in names else None, used))
     return sorted(found, key=lambda one: -one.nats)
 
 
-def _explanation(names, marker: int, differ, chain: Chain, seen, fitted) -> Explanation:
-    used, count = seen & fitted, differ.shape[1]
+def _explanation(names, marker: int, differ, heavy, stiff, used) -> Explanation:
+    """By what a weight at the ``marker`` (``heavy``, of joints before it) and stiffness (``stiff``) add, (B, J, 2) each or None."""
+    count = differ.shape[1]
     values, sds, nats, free = np.zeros((2, count)), np.zeros((2, count)), 0.0, 0
     bends = np.broadcast_to(differ[used].mean(0), differ.shape).copy()
     for j in range(count):
-        ways = {0: chain.moments[:, j, marker]} if MASS in names and j <= marker else {}
-        ways |= {1: -chain.bends[:, j]} if STIFFNESS in names else {}
+        ways = {0: heavy[:, j]} if heavy is not None and j <= marker else {}
+        ways |= {1: stiff[:, j]} if stiff is not None else {}
         free += len(ways)
-        while ways:
-            found = _regressed(differ[:, j], np.stack(list(ways.values()), 2), used)
-            if 0 in ways and found[0][0] < 0:  # a weight would have to pull upwards
-                del ways[0]
-                continue
-            rows = list(ways)
-            values[rows, j], sds[rows, j], gained, bends[:, j] = found
+        if found := _pulling(differ[:, j], ways, used):
+            rows = found[0]
+            values[rows, j], sds[rows, j], gained, bends[:, j] = found[1]
             nats += gained
-            break
     nats -= free / 2 * np.log(max(2, int(used.sum())))
-    return Explanation(tuple(names), marker, float(nats), values, sds, bends, chain.moved(bends))
+    return Explanation(tuple(names), marker, float(nats), values, sds, bends)
+
+
+def _pulling(differ, ways: dict[int, np.ndarray], used):
+    """(Rows of ``values`` that act, what ``_regressed`` returns of them), or None; no weight acts where it would have to pull upwards."""
+    if not ways:
+        return None
+    found = _regressed(differ, np.stack(list(ways.values()), 2), used)
+    if 0 in ways and found[0][0] < 0:
+        return _pulling(differ, {row: way for row, way in ways.items() if row}, used)
+    return list(ways), found
 
 
 def _regressed(differ, ways, used) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:

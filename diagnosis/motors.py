@@ -11,15 +11,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..datasets.scenario import Scenario
-from ..methods.continuum.sights import jitter
 from .config import DiagnosisConfig
 from .inference.blocks import is_marked
 from .inference.contrast import as_long, until
 from .joints import BIN, MASS, STIFFNESS, Difference, Explanation, compared
-from .outcome import SCHEMA, Outcome, chance_of_sound
+from .outcome import SCHEMA, Outcome, arrays_of, chance_of_sound, curves_of, floor_of, recordings_of
 from .page.words import effect_name
 
-__all__ = ["ask_joints", "is_moved_by_motors"]
+__all__ = ["ask_joints", "is_moved_by_motors", "judged"]
 
 SURE = 1.645  # standard deviations to either end of a 90 % interval
 POWER = 1.645  # more that an effect must stand out by to be found in 95 of 100
@@ -50,11 +49,13 @@ def ask_joints(
     against = [as_long(one, case) for one in against]
     progress("comparing joints")
     found = compared(case, against)
-    verdict, names = _verdict(found, config)
+    verdict, names = judged(found, config)
     both = found.best(*(n for n in (MASS, STIFFNESS) if n in names)) if names else None
     first = found.best(names[0]) if names else None
-    floor = float(np.sqrt(8 / np.pi) * jitter(np.nan_to_num(case.points), case.visible))
+    floor, why = floor_of(case), _why(found, verdict, config)
     parts = [(case, "case"), *((one, "against") for one in against)]
+    beside = np.where(against[0].visible[..., None], against[0].points, np.nan)  # the first sound recording stands where a twin would
+    runs = [(beside, None), *((None, None) for _ in against)]
     result = {
         "schema": SCHEMA,
         "twin": "joints",
@@ -62,7 +63,7 @@ def ask_joints(
         "effect": names[0] if names else None,
         "alternatives": list(names[1:]),
         "probabilities": _probabilities(found, names),
-        "why": _why(found, verdict, config),
+        "why": why,
         "test": dict(p=found.p, level=config.level, members=0, controls=0),
         "where": _where(both, found, case),
         "when": {"frames": [0, case.frame_count]} if names else None,
@@ -75,16 +76,17 @@ def ask_joints(
         "evidence": {
             "hypotheses": _hypotheses(found, first),
             "noise_floor": floor,
-            "notes": [*_notes(found), *filter(None, [_why(found, verdict, config)])],
-            "recordings": [_recording(one, role) for one, role in parts],
-            "curves": {case.name: {"baseline": _curve(case, against), "noise_floor": floor}},
+            "notes": [*_notes(found), *filter(None, [why])],
+            "recordings": recordings_of(parts),
+            "curves": curves_of(parts[:1], runs[:1], floor),
         },
         "seconds": round(time.time() - begun, 3),
     }
-    return Outcome(result, _arrays(parts))
+    return Outcome(result, arrays_of(parts, runs))
 
 
-def _verdict(found: Difference, config: DiagnosisConfig) -> tuple[str, tuple[str, ...]]:
+def judged(found: Difference, config: DiagnosisConfig) -> tuple[str, tuple[str, ...]]:
+    """(one of ``page.words.VERDICTS``, the names that it rests on, best first)."""
     if found.p >= config.level:
         return ("cannot_tell" if _why(found, "cannot_tell", config) else "adequate"), ()
     best = found.explanations[0]
@@ -167,7 +169,7 @@ def _budget(found: Difference, best: Explanation | None, case: Scenario, config:
             seen = rows[found.seen[rows]]
             if not len(seen):
                 continue
-            error, left = (_rms(found.differ[seen] - off) for off in (0.0, best.moved[seen] if best else 0.0))
+            error, left = (_rms(found.off(one)[seen]) for one in (None, best))
             part = dict(record=0, recording=case.name, begin=float(times[rows[0]]), end=float(times[rows[-1]] + BIN), fitted=fitted)
             part |= dict(error=error, noise=0.0, representation=0.0, parameters=0.0)
             parts.append(part | dict(named=float(np.sqrt(max(0.0, error**2 - left**2))), unexplained=min(left, error)))
@@ -219,26 +221,3 @@ def _notes(found: Difference) -> list[str]:
         at = [int(found.order[e.marker + 1]) for e in (first, second)]
         said.append(f"A weight would be at marker {at[0]}: {first.nats - second.nats:.0f} nats likelier than at marker {at[1]}.")
     return [*said, f"How stiff joints are is not told, and so no weight in grams: {effect_name(MASS)} is told over the joint's stiffness."]
-
-
-def _recording(one: Scenario, role: str) -> dict:
-    end = one.split.train_end if role == "case" else 0
-    return dict(name=one.name, role=role, frames=one.frame_count, points=one.points.shape[1], fps=float(one.fps), train_end=end)
-
-
-def _curve(case: Scenario, against: Sequence[Scenario]) -> list[float | None]:
-    """Mean distance [m] of the markers from those of the first sound recording, by frame."""
-    free = np.setdiff1d(np.arange(case.points.shape[1]), case.grips)
-    far = np.linalg.norm(case.points - against[0].points, axis=2)[:, free]
-    seen = (case.visible & against[0].visible)[:, free]
-    mean = np.where(seen, far, 0.0).sum(1) / np.maximum(1, seen.sum(1))
-    return [float(m) if s else None for m, s in zip(mean.tolist(), np.any(seen, axis=1).tolist(), strict=True)]
-
-
-def _arrays(parts: Sequence[tuple[Scenario, str]]) -> dict:
-    """As ``write_report`` takes them: in the case's view the first sound recording stands where a twin would."""
-    (case, _), (sound, _) = parts[0], parts[1]
-    arrays = {f"observed_{r}": np.where(one.visible[..., None], one.points, np.nan) for r, (one, _) in enumerate(parts)}
-    arrays |= {"baseline_0": np.where(sound.visible[..., None], sound.points, np.nan), "controllers_0": case.controllers}
-    gravity = np.asarray(case.gravity, float)
-    return arrays | {"up": -gravity / np.linalg.norm(gravity)}

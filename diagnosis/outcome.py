@@ -26,7 +26,7 @@ from .page.document import plain
 from .page.words import effect_name
 from .report import write_report
 
-__all__ = ["Outcome", "chance_of_sound", "verdict_of"]
+__all__ = ["SCHEMA", "Outcome", "arrays_of", "chance_of_sound", "curves_of", "floor_of", "recordings_of", "verdict_of"]
 
 DRIFT = "track_drift"
 BELOW = {"ground_pose": 0.77, "camera_pose": 0.23}  # of a body below the told ground: e^1.2 as often the ground as all cameras alike
@@ -59,7 +59,7 @@ class Outcome:
         first = answer.named[0] if answer.verdict == "named" else None
         lost = _lost(answer, config) if DRIFT in names else None
         here = lost if answer.wandering and lost is answer.wandering[0] else None  # tracks of another recording have other numbers
-        floor = float(np.mean([_floor(one) for one, role in parts if role == "case"]))
+        floor = float(np.mean([floor_of(one) for one, role in parts if role == "case"]))
         scored = [(_unheld(parts[0][0], found.tracks), parts[0][1]), *parts[1:]]
         result = {
             "schema": SCHEMA,
@@ -82,8 +82,8 @@ class Outcome:
                 "hypotheses": _hypotheses(answer, found.evidence, names, config),
                 "noise_floor": floor,
                 "notes": _notes(found, answer, config),
-                "recordings": _recordings(parts),
-                "curves": _curves(scored, runs, floor),
+                "recordings": recordings_of(parts),
+                "curves": curves_of(scored, runs, floor),
                 "twin": found.twin.values,
                 "told": found.told.values if found.told else None,
                 "plan": figures(plan.motion, plan.separation, plan.others, float(parts[0][0].fps)) if plan else None,
@@ -92,7 +92,7 @@ class Outcome:
             "seconds": round(seconds, 3),
         }
         twins = {name: twin for name, twin in (("baseline", found.twin), ("extended", found.told)) if twin is not None}
-        return cls(result, _arrays(parts, runs), twins)
+        return cls(result, arrays_of(parts, runs), twins)
 
     def write(self, out: str | Path) -> None:
         """Write ``diagnosis.json``, ``report.html``, ``tracks.npz`` and the folder ``twins`` into the folder ``out``."""
@@ -312,7 +312,7 @@ def _errors(parts, runs, floor) -> dict:
     return found
 
 
-def _floor(recording: Scenario) -> float:
+def floor_of(recording: Scenario) -> float:
     """Mean length [m] of the noise vector of a track: sqrt(8 / pi) standard deviations of a coordinate from one frame to the next."""
     return float(np.sqrt(8 / np.pi) * jitter(np.nan_to_num(recording.points), recording.visible))
 
@@ -380,7 +380,7 @@ def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:
     return said + ([found.twin.note] if found.twin.note else [])
 
 
-def _recordings(parts) -> list[dict]:
+def recordings_of(parts) -> list[dict]:
     return [
         {
             "name": one.name,
@@ -394,7 +394,7 @@ def _recordings(parts) -> list[dict]:
     ]
 
 
-def _curves(parts, runs, floor) -> dict:
+def curves_of(parts, runs, floor) -> dict:
     found = {}
     for (one, _), pair in zip(parts, runs, strict=True):
         named = {n: [_mean(row) for row in _off(one, p)] for n, p in zip(("baseline", "extended"), pair, strict=True) if p is not None}
@@ -402,7 +402,7 @@ def _curves(parts, runs, floor) -> dict:
     return found
 
 
-def _arrays(parts, runs) -> dict:
+def arrays_of(parts, runs) -> dict:
     """As ``write_report`` takes them."""
     arrays = {}
     for r, ((one, _), pair) in enumerate(zip(parts, runs, strict=True)):

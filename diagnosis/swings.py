@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..datasets.scenario import Scenario
-from .joints import chain_of
+from .joints import hung
 
 __all__ = ["FEWEST", "Faster", "Swing", "faster", "swing_of"]
 
@@ -75,7 +75,7 @@ def swing_of(recording: Scenario) -> Swing | None:
     if recording.actuation is not None or moved > STILL:
         return None
     try:
-        last = chain_of(recording)[1][-1]
+        last = hung(recording)[0][-1]
     except ValueError:
         return None
     seen = recording.visible[:, last]
@@ -119,12 +119,13 @@ def _oscillation(time, path) -> tuple[float, float, float]:
     return float(rate), float(decay), float(np.sqrt(2 * best.cost / len(time)))
 
 
-def faster(cases: Sequence[Scenario], sound: Sequence[Scenario]) -> Faster | None:
+def faster(cases: Sequence[Swing | None], sound: Sequence[Swing | None]) -> Faster | None:
     """How much faster ``cases`` swing than ``sound`` recordings do at their amplitude, in the mean, of those whose amplitudes are within
-    ``ALIKE`` times the cases' median; None where these are fewer than ``FEWEST`` sound ones, or half of the cases."""
+    ``ALIKE`` times the cases' median; None where these are fewer than ``FEWEST`` sound ones, or half of the cases. What does not swing is
+    None (``swing_of``)."""
     from scipy.stats import t
 
-    known, asked = ([one for one in map(swing_of, group) if one] for group in (sound, cases))
+    known, asked = ([one for one in group if one] for group in (sound, cases))
     if not asked:
         return None
     usual = float(np.median([one.amplitude for one in asked]))

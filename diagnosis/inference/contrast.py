@@ -10,7 +10,7 @@ import numpy as np
 from ...datasets.scenario import Scenario
 from .blocks import Blocks
 
-__all__ = ["Contrast", "as_long", "comparable", "until"]
+__all__ = ["Contrast", "as_long", "check_hands", "comparable", "inputs_apart", "until"]
 
 HANDS = 0.005  # m, root mean square over frames: what a robot repeats, and what a tracker of hands sees differently
 BEGINS = 0.01  # m between the middles of the body in frame 0
@@ -88,15 +88,26 @@ def comparable(case: Scenario, sound: Scenario) -> Scenario:
         hands = f"{case.controllers.shape[1]} and {sound.controllers.shape[1]}"
         raise ValueError(f"recordings that are compared must have the same controllers, got {hands}{where}")
     if case.controllers.shape[1]:
-        apart = float(np.sqrt(((sound.controllers - case.controllers) ** 2).sum(-1).mean()))
-        if apart > HANDS:
-            raise ValueError(f"hands must be within {1e3 * HANDS:g} mm of those they are compared with, got {1e3 * apart:.1f} mm{where}")
+        check_hands(case, sound)
     if (differ := _inputs_differ(case.actuation, sound.actuation)) is not None:
         raise ValueError(f"further inputs must be those of the recording they are compared with, got {differ}{where}")
     middles = [one.points[0][one.visible[0]].mean(0) for one in (case, sound)]
     if (far := float(np.linalg.norm(middles[1] - middles[0]))) > BEGINS:
         raise ValueError(f"bodies must begin within {1e3 * BEGINS:g} mm of each other, got {1e3 * far:.1f} mm{where}")
     return sound
+
+
+def check_hands(case: Scenario, sound: Scenario) -> None:
+    """Raises ValueError where hands, of which both have as many for as long, go otherwise."""
+    apart = float(np.sqrt(((sound.controllers - case.controllers) ** 2).sum(-1).mean()))
+    if apart > HANDS:
+        told = f"{1e3 * HANDS:g} mm of those they are compared with, got {1e3 * apart:.1f} mm (scenario {sound.name})"
+        raise ValueError(f"hands must be within {told}")
+
+
+def inputs_apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(A,) RMS by which inputs (T, A) differ, over the standard deviation of the ``other``."""
+    return np.sqrt(((one - other) ** 2).mean(0)) / np.maximum(other.std(0), 1e-12)
 
 
 def _inputs_differ(one, other) -> str | None:
@@ -106,7 +117,7 @@ def _inputs_differ(one, other) -> str | None:
         return None if one is None and other is None else f"{told[0]} and {told[1]}"
     if np.allclose(one, other):
         return None
-    share = np.sqrt(((one - other) ** 2).mean(0)) / np.maximum(other.std(0), 1e-12)
+    share = inputs_apart(one, other)
     return f"input {int(share.argmax())} that differs by {share.max():.2g} of how far it varies"
 
 
