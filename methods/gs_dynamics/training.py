@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ from ..threads import threads_for
 from .config import Config
 from .graph import edges
 from .network import Network
+from .repeatable import repeatable
 from .windows import Clip
 
 __all__ = ["Sample", "collate", "draw", "loss", "train"]
@@ -135,7 +135,7 @@ def train(clips, config: Config, *, seed: int = 0, device: str = "cpu", progress
     random = np.random.default_rng(seed)
     windows = [(clip, window) for clip in clips for window in clip.windows]
     optimizer = torch.optim.Adam(network.parameters(), lr=config.rate)
-    with threads_for(config.batch * config.most_nodes * config.width), _repeatable():
+    with threads_for(config.batch * config.most_nodes * config.width), repeatable():
         for update in range(config.iterations):
             drawn = [windows[k] for k in random.integers(len(windows), size=config.batch)]
             sample = collate([draw(clip, window, config, random) for clip, window in drawn])
@@ -149,15 +149,3 @@ def train(clips, config: Config, *, seed: int = 0, device: str = "cpu", progress
                 if progress is not None:
                     progress("training", update / config.iterations)
     return network.eval()
-
-
-class _repeatable:
-    """Sums over edges in a fixed order on CUDA too, while it lasts."""
-
-    def __enter__(self):
-        os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # without it matrix products may not repeat, and torch warns
-        self._before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
-        torch.use_deterministic_algorithms(True, warn_only=True)
-
-    def __exit__(self, *_):
-        torch.use_deterministic_algorithms(self._before[0], warn_only=self._before[1])

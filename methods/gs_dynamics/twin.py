@@ -17,6 +17,7 @@ from ..threads import threads_for
 from .config import Config, Quirks
 from .network import FARTHEST, Network
 from .place import Place, Upright, cells, tool_nodes
+from .repeatable import repeatable
 from .skinning import node_rotations, skin
 from .training import join
 from .windows import travel
@@ -77,7 +78,7 @@ class GSDynamicsTwin(Twin):
         action = np.where(tool[:, None], np.concatenate([state[nodes], tools]) - past[-1], 0.0)
         pairs = join(past[-1], tool, self.config)
         floats = (torch.as_tensor(a, dtype=torch.float32, device=self.device) for a in (past, action))
-        with torch.no_grad():
+        with torch.no_grad(), repeatable():
             step = self.network(*floats, *(torch.as_tensor(a, device=self.device) for a in (tool, pairs)))
         before, after = past[-1, ~tool], step.cpu().numpy().astype(float)[~tool]
         if not np.isfinite(after).all():
