@@ -103,6 +103,7 @@ def scored(answer: Answer, label: dict) -> dict:
     if answer.named:
         first = answer.named[0]
         row |= dict(first=first.name, probability=first.probability, gain=first.gain.share, gain_error=first.gain.error)
+        row |= dict(nats=first.log_evidence, p_left=first.left)  # by which names are believed, or not
         row |= dict(parallel=" ".join(answer.parallel), amounts=json.dumps(first.amounts), sds=json.dumps(first.sds))
     if truth is None:
         return row

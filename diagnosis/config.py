@@ -56,7 +56,8 @@ class DiagnosisConfig:
     steps       of such a refit, at most, of one to three runs each; it ends where fresh slopes lead nowhere, which take as many runs as it
                 has unknowns. Three steps left a wind of 15 mm, nine a hand that gives way (116 mm) far from where refits end; that one
                 takes twenty
-    runs        of such a refit, at most: a rope's takes some 60, one that moves a cable by decimetres would take a thousand of seconds each
+    runs        of such a refit, at most: a rope's takes some 60, of an obstacle or a slipping hand up to 270 (results/inference.md), one
+                that moves a cable by decimetres would take a thousand of seconds each
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
     clearly     nats by which an effect must be likelier than that nothing is missing to be named: 24 effects, one of which acts in one
@@ -96,7 +97,7 @@ class DiagnosisConfig:
     astray: float = 25.0
     reshaped: float = 2.0
     steps: int = 24
-    runs: int = 120
+    runs: int = 300
     parallel: float = 0.95
     clearly: float = 6.7
     roaming: float = 500.0

@@ -371,6 +371,8 @@ def _notes(found, answer: Answer, config: DiagnosisConfig) -> list[str]:
     beside = f"{members} recordings in which nothing is missing" if found.evidence.from_recordings else f"{members} sound twins"
     said = [f"The twin that was questioned is a {body}, in {cells:g} times the method's cells, beside {beside}."]
     said.append(f"p = {answer.test.p:.2g} that a sound twin's error looks like this (level {config.level:g}); {answer.runs} roll-outs.")
+    if (nats := answer.test.at_hands) and answer.named:
+        said.append(f"Tracks beside hands speak {'for' if nats > 0 else 'against'} an effect at a hand, by {abs(nats):.1f} nats.")
     if lost := _lost(answer, config):
         moved = 1e3 * np.nanmedian(lost.far[lost.tracks])
         said.append(f"{len(lost.tracks)} of {len(lost.far)} tracks leave their neighbours, by {moved:.0f} mm (p = {lost.p:.2g}).")

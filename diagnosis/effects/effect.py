@@ -100,6 +100,11 @@ class Effect:
         return self.term.stage if self.term else ""
 
     @property
+    def at_hands(self) -> bool:
+        """Whether it shows in how hands carry what they hold: they give way, are reported late, or in other axes than points."""
+        return self.kind in ("grip", "measurement")
+
+    @property
     def is_usual(self) -> bool:
         """Whether some of it is usually there."""
         return any(amount.usual for amount in self.amounts)
@@ -107,9 +112,9 @@ class Effect:
     @property
     def forms(self) -> tuple[str, ...]:
         """Names of the shapes that are fitted from where they are tried: those of any order of magnitude, as times and lengths are; not how
-        far around its place it reaches, which is as far as the next place."""
-        known = self.parameters.values()
-        return tuple(p.name for p in known if p.name in self.shapes and p.scale == "log" and p.name != self.within)
+        far around its place on the body it reaches, which is as far as the next place."""
+        known, kept = self.parameters.values(), "" if self.roaming else self.within
+        return tuple(p.name for p in known if p.name in self.shapes and p.scale == "log" and p.name != kept)
 
     @property
     def parameters(self) -> dict[str, Parameter]:

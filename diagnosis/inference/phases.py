@@ -43,7 +43,8 @@ class Tested:
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """A candidate that was refitted: its ``probability`` among all effects, what it gains on frames that nobody fitted, where it acts, and
+    """A candidate that was refitted: its ``probability`` among all effects, its ``log_evidence`` over that of nothing missing, what hands
+    tell of it included, what it gains on frames that nobody fitted, where it acts, and
     the p that a sound body's twin leaves as much of the fitted frames as it does (``left``): what explains too little is no name."""
 
     candidate: Candidate
@@ -122,15 +123,16 @@ def weighed(
         trials = trials.with_refits()
     tell(f"{len(trials.best)} candidates refitted")
     rows, sound, chances = trials.asked.rows, trials.sound, trials.chances
-    best = [(e.catalogue[k], trials.made[k]) for k in trials.best.values()]
+    best = [(e.catalogue[k], trials.made[k], trials.over_sound(k, trials.made[k])) for k in trials.best.values()]
     whole, seen = scatter.only(rows).likelihood(prior), (e.forward.data[rows], e.forward.motion[rows])
-    left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r in best]
+    left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r, _ in best]
     usual = np.diag(scatter.expected(prior) + scatter.noise)
-    named = sorted((_named(e, s, r, sound, chances, p, usual) for (s, r), p in zip(best, left, strict=True)), key=lambda n: -n.probability)
+    named = [_named(e, s, r, nats, sound, chances, p, usual) for (s, r, nats), p in zip(best, left, strict=True)]
+    named = sorted(named, key=lambda n: -n.probability)
     confirmed = bool(named) and shortcoming(named[0], config) is None
     verdict = "unfounded" if not found.founded else "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
-    first, below = next((s for s, r in best if named and r is named[0].refit), None), _sunk(e)
+    first, below = next((s for s, r, _ in best if named and r is named[0].refit), None), _sunk(e)
     return Answer(
         verdict,
         test,
@@ -173,7 +175,9 @@ def tested(evidence: Evidence, config: DiagnosisConfig) -> Tested:
     controls = Controls.of(kind, config, marked=marked, recordings=len(e.forward.simulators)) if usual else None
     founded = Controls.known(kind, marked=marked) or e.from_recordings or e.forward.contrast is not None  # members alone are no null
     hands = _hands(e, config)
-    test = significance(e.scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, controls=controls, hands=hands)
+    farther = float(np.log(config.motion / config.floor))
+    about: dict = dict(controls=controls, hands=hands, farther=farther)
+    test = significance(e.scatter, prior, e.residual, e.noisy, e.catalogue, e.forward.motion, **about)
     return Tested(prior, test, founded)
 
 
@@ -192,8 +196,8 @@ def _hands(evidence: Evidence, config: DiagnosisConfig) -> dict[str, float]:
     return {name: value for name, value in told.items() if value is not None}
 
 
-def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chances, left: float, usual: np.ndarray) -> Named:
-    """``usual`` (B,) m^2: variances of what sound twins are off by."""
+def _named(e: Evidence, signature: Signature, refit: Refit, nats: float, sound: Refit, chances, left: float, usual: np.ndarray) -> Named:
+    """``nats`` over the ``sound`` twin; ``usual`` (B,) m^2: variances of what sound twins are off by."""
     candidate, layout = refit.candidate or signature.candidate, e.scatter.layout
     away = np.flatnonzero(~layout.fitted)
     data = e.forward.data
@@ -202,8 +206,7 @@ def _named(e: Evidence, signature: Signature, refit: Refit, sound: Refit, chance
     names = [a.name for a in candidate.effect.amounts]
     amounts, sds = (dict(zip(names, map(float, values), strict=True)) for values in (refit.amounts, refit.sd))
     place = None if candidate.place is None else tuple(candidate.place.tolist())
-    evidence = refit.log_evidence - sound.log_evidence
-    return Named(candidate, signature.name, candidate.words, chances[signature.name], evidence, amounts, sds, place, gain, left, refit)
+    return Named(candidate, signature.name, candidate.words, chances[signature.name], nats, amounts, sds, place, gain, left, refit)
 
 
 def shortcoming(one: Named, config: DiagnosisConfig) -> str | None:

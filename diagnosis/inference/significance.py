@@ -13,7 +13,7 @@ all the same, which tracks tell without a twin (``carried``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Significance:
 
     p_members     from ``p_misfit`` and ``p_scan``, by members; it is ``p`` where there are no ``controls``
     p_held_out    that of the misfit of the frames held out alone, 1 where there are none; it is no part of ``p``
+    at_hands      by how much an effect at hands is likelier than another by what tracks beside hands tell, as a logarithm; no part of ``p``
     standardised  what is pooled over controls, by name: logarithms of the recordings' two statistics over the members' geometric means
                   (misfit, scan), and of the residual over the motion, both RMS (left); what ``hands`` tell
     """
@@ -47,6 +48,7 @@ class Significance:
     standardised: Mapping[str, float]
     scores: tuple[Score, ...]
     controls: Controls | None = None
+    at_hands: float = 0.0
 
     def alarming(self, level: float) -> float:
         """The largest score above which p is below ``level``, whatever the misfit."""
@@ -85,6 +87,7 @@ def significance(
     *,
     controls: Controls | None = None,
     hands: Mapping[str, float] | None = None,
+    farther: float = 0.0,
 ) -> Significance:
     """The test of ``residual`` (B,) m, of the fitted block means alone.
 
@@ -93,6 +96,8 @@ def significance(
     controls      frozen sound recordings of the kind, or None
     hands         logarithms that hands tell, by name: of how much narrower than was told one holds the body where the fit ended (grip), and
                   of how far what one holds strays from where it would be carried (stray)
+    farther       how much farther it strays at most, as a logarithm, where an effect acts at a hand: any part of it alike. Of no other
+                  effect it does
     """
     rows, away = np.flatnonzero(scatter.layout.fitted), np.flatnonzero(~scatter.layout.fitted)
     held_out, scatter = scatter.only(away), scatter.only(rows)
@@ -102,7 +107,11 @@ def significance(
     residual, noisy = residual[rows], noisy[:, rows]
     asked = [fitted_rows(s, rows) for s in catalogue]
     likelihood = scatter.likelihood(prior)
-    found = scores(likelihood, residual, asked)
+    at_hands = _at_hands(controls, hands or {}, farther)
+    told = [at_hands if s.candidate.effect.at_hands else 0.0 for s in asked]
+    found = [
+        replace(one, log_evidence=one.log_evidence + nats) for one, nats in zip(scores(likelihood, residual, asked), told, strict=True)
+    ]
     left_out = scatter.left_out(prior)
     misfit, misfits = _misfits(likelihood, left_out, residual, noisy)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
@@ -113,8 +122,26 @@ def significance(
     standardised |= hands or {}
     p = controls.p(standardised) if controls else p_members
     return Significance(
-        p, p_members, p_misfit, p_scan, p_held_out, misfit, largest, tuple(misfits), tuple(largests), standardised, tuple(found), controls
+        p,
+        p_members,
+        p_misfit,
+        p_scan,
+        p_held_out,
+        misfit,
+        largest,
+        tuple(misfits),
+        tuple(largests),
+        standardised,
+        tuple(found),
+        controls,
+        at_hands,
     )
+
+
+def _at_hands(controls: Controls | None, hands: Mapping[str, float], farther: float) -> float:
+    """What strays beside hands say of effects that act there; nothing where none are told, or none of sound recordings are known."""
+    tail = controls.tails.get("stray") if controls else None
+    return tail.wider(hands["stray"], farther) if tail and "stray" in hands and farther > 0 else 0.0
 
 
 def unexplained(test: Significance, likelihood: Likelihood, residual, motion) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -14,6 +14,7 @@ DEGREES = (2.0, 3.0, 4.0, 6.0, 10.0, 30.0)  # of freedom: 2 has no variance, 30 
 STEPS, SETTLED = 100, 1e-9  # of expectation and maximisation: the slowest moves by less than 1e-6 then, most have settled (scales) before
 NODES = 96  # of an integral over a normal distribution: exact to 1e-6 of itself up to the closest correlation, and to rounding up to 0.9
 FARTHEST = 9.0  # deviations, beyond which a normal distribution is 1e-19
+TINY = 1e-300  # of a density: less is nothing
 CLOSEST = 0.99  # of a correlation in use: what goes together as one is told by either
 
 
@@ -45,12 +46,27 @@ class Tail:
         """p that a sound recording's is as large, of each of ``values``."""
         from scipy.special import stdtr
 
-        below = self.place - np.asarray(values, float)
+        return self._blurred(lambda far: stdtr(self.degrees, -far), values)
+
+    def density(self, value: float) -> float:
+        """Of a sound recording's at ``value``."""
+        from scipy.stats import t
+
+        return float(self._blurred(lambda far: t.pdf(far, self.degrees), value) / self.scale)
+
+    def _blurred(self, law: Callable[[np.ndarray], np.ndarray], values):
+        """``law`` of how many scales ``values`` lie from the place, in the mean over the further error."""
+        far = np.asarray(values, float) - self.place
         if not self.further:
-            return stdtr(self.degrees, below / self.scale)
+            return law(far / self.scale)
         at, weights = _nodes()
         chances = weights * FARTHEST * np.exp(-((FARTHEST * at) ** 2) / 2) / np.sqrt(2 * np.pi)
-        return stdtr(self.degrees, (below[..., None] + self.further * FARTHEST * at) / self.scale) @ chances
+        return law((far[..., None] - self.further * FARTHEST * at) / self.scale) @ chances
+
+    def wider(self, value: float, span: float) -> float:
+        """By how much ``value`` is likelier, as a logarithm, where up to a ``span`` was added, any part of it alike."""
+        chance = float(self.beyond(value - span) - self.beyond(value)) / span
+        return float(np.log(max(chance, TINY)) - np.log(max(self.density(value), TINY)))
 
     def at(self, p: float) -> float:
         """The value that a sound recording's exceeds with probability ``p``."""

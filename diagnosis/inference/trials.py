@@ -58,7 +58,7 @@ class Trials:
 
         firsts = [own[0] for own in likely.values()]
         starts = dict(zip(firsts, e.forward.each(begin, firsts), strict=True))
-        led = {e.catalogue[k].name: one.log_evidence - self.sound.log_evidence for k, one in starts.items() if one}
+        led = {e.catalogue[k].name: self.over_sound(k, one) for k, one in starts.items() if one}
         left_out = e.scatter.only(rows).left_out(self.prior, parameters=False)
         members = list(zip(left_out, e.noisy[:, rows], strict=True))
 
@@ -89,10 +89,15 @@ class Trials:
                 found[name] = k
         return found
 
+    def over_sound(self, k: int, one: Refit | Start) -> float:
+        """Log evidence of ``one`` of the ``k``-th candidate over that of the sound twin, with what hands tell of such an effect."""
+        told = self.test.at_hands if self.evidence.catalogue[k].candidate.effect.at_hands else 0.0
+        return one.log_evidence - self.sound.log_evidence + told
+
     @property
     def chances(self) -> dict[str, float]:
         """By effect, the likeliest first: see ``_chances``."""
-        gains = {k: self.made[k].log_evidence - self.sound.log_evidence for k in self.best.values()}
+        gains = {k: self.over_sound(k, self.made[k]) for k in self.best.values()}
         return _chances(self.test, self.evidence.catalogue, gains)
 
 

@@ -22,7 +22,7 @@ from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_er
 from twinbench.diagnosis.inference.search import Asked
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
-from twinbench.diagnosis.inference.trials import _chances, _in_order, _likely
+from twinbench.diagnosis.inference.trials import Trials, _chances, _in_order, _likely
 from twinbench.physics.parameters import Parameter
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
@@ -549,7 +549,7 @@ def test_a_refit_finds_the_pace_of_an_effect_beside_the_one_that_was_tried():
         parameters=(Parameter("pace", 1.0, 0.1, 10.0, "s", "how fast", "log"), Parameter("reach", 1.0, 0.1, 9.0, "m", "how far", "log"))
     )
     paced = replace(effect(), term=law, shapes={"pace": (1.0,), "reach": (1.0,)}, within="reach")
-    assert paced.forms == ("pace",)
+    assert paced.forms == ("pace",) and replace(paced, roaming=True).forms == ("pace", "reach")  # in the room no other place is next to it
     one = replace(world.catalogue[0], candidate=Candidate(paced, {"pace": 1.0, "reach": 1.0}))
     scatter, _, _ = world.evidence(world.reference)
     fitting = scatter.likelihood(PRIOR, parameters=False)
@@ -701,11 +701,35 @@ def test_what_a_refit_refutes_is_told_from_the_first():
     assert _refuted(named, DiagnosisConfig()) == {"c", "d"} and _refuted(named[:1], DiagnosisConfig()) == set()
 
 
+@pytest.mark.parametrize("stray", [0.4, 2.0])
+def test_what_strays_beside_hands_speaks_for_effects_at_hands_alone(stray):
+    # by how much a stray is likelier where up to 3 was added to that of controls, in scores and refits of such effects; p is as it was
+    world = World(12)
+    catalogue = [world.catalogue[0], signature(world.catalogue[1].columns[:, 0], "sag")]
+    sag = catalogue[1].candidate
+    catalogue[1] = replace(catalogue[1], candidate=replace(sag, effect=replace(sag.effect, kind="grip")))
+    scatter, residual, noisy = world.evidence(world.reference + world.noise())
+    controls = Controls(np.random.default_rng(0).normal(size=(60, 3)) * [1, 1, 0.2] + [0, 0, 0.4], ("misfit", "scan", "stray"))
+    plain, told = (
+        significance(scatter, PRIOR, residual, noisy, catalogue, np.ones(SIZE), controls=controls, hands={"stray": stray}, farther=farther)
+        for farther in (0.0, 3.0)
+    )
+    expected = controls.tails["stray"].wider(stray, 3.0)
+    assert told.at_hands == expected and (expected > 5 if stray > 1 else -3 < expected < 0)
+    assert [a.log_evidence - b.log_evidence for a, b in zip(told.scores, plain.scores, strict=True)] == pytest.approx([0.0, expected])
+    assert told.p == plain.p and plain.at_hands == 0.0
+    trials = Trials(SimpleNamespace(catalogue=catalogue), PRIOR, told, DiagnosisConfig(), None, SimpleNamespace(log_evidence=2.0), {})
+    assert [trials.over_sound(k, SimpleNamespace(log_evidence=5.0)) for k in (0, 1)] == pytest.approx([3.0, 3.0 + expected])
+    none = significance(scatter, PRIOR, residual, noisy, catalogue, np.ones(SIZE), controls=controls, hands={}, farther=3.0)
+    assert none.at_hands == 0.0  # no hand tells
+
+
 def test_hands_are_asked_one_by_one_and_all_together():
     slip = next(e for e in effects("rope") if e.name == "grip_slip")
     for hands, asked in (((), []), ((1,), [1]), ((0, 2), [0, 2, -1])):
         found = slip.candidates(None, hands=hands)
-        assert [c.fixed["slide_hand"] for c in found] == asked * len(slip.shapes["slide_weights"])
+        shapes = len(slip.shapes["slide_weights"]) * len(slip.shapes["slide_speed"])
+        assert [c.fixed["slide_hand"] for c in found] == asked * shapes
         assert {c.fixed["slide_weights"] for c in found} == (set(slip.shapes["slide_weights"]) if hands else set())
     wind = next(e for e in effects("rope") if e.name == "wind")
     assert len(wind.candidates(None, hands=(0, 1))) == len(wind.candidates(None))  # it is of no hand

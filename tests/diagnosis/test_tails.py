@@ -37,6 +37,23 @@ def test_a_further_error_is_added_to_a_tail(degrees, far):
     assert tail.beyond([far, far]).shape == (2,)
 
 
+@pytest.mark.parametrize("further", [0.0, 0.3])
+@pytest.mark.parametrize("far", [-0.5, 0.3, 2.0])
+def test_a_density_is_how_fast_a_tail_falls(far, further):
+    # central differences of 1e-4, of which the third derivative makes a part of 1e-6
+    tail = Tail(0.2, 0.12, 4.0, further)
+    assert tail.density(far) == pytest.approx(float(tail.beyond(far - 1e-4) - tail.beyond(far + 1e-4)) / 2e-4, rel=1e-5)
+
+
+@pytest.mark.parametrize("far", [0.1, 1.0, 2.5, 5.0])
+def test_how_much_likelier_a_value_is_where_something_was_added(far):
+    # ln of the mean of f(x - u) over u in (0, 3), over f(x), by scipy's adaptive quadrature
+    tail = Tail(0.44, 0.18, 30.0, 0.3)
+    mean = quad(lambda u: tail.density(far - u), 0, 3, points=[min(3, max(0, far - 0.44))], epsrel=1e-9)[0] / 3
+    assert tail.wider(far, 3.0) == pytest.approx(np.log(mean / tail.density(far)), abs=1e-5)
+    assert tail.wider(0.44, 3.0) < 0 < tail.wider(1.5, 3.0)
+
+
 @pytest.mark.parametrize("p", [1e-9, 0.03, 0.4])
 def test_of_those_that_have_no_further_error_fewer_are_as_rare(p):
     # normal with 0.12 and 0.3 beside: at p it is hypot(0.12, 0.3) deviates out, and so so many of 0.12

@@ -160,7 +160,7 @@ def test_one_hand_of_two_holds_otherwise():
 
 def test_one_hand_of_two_lets_slip():
     # as above, of the other hand alone: what it holds sinks, and what the first holds stays
-    slide = SlidingHand({"slide_speed": 0.05, "slide_weights": 0.3, "slide_burden": 9.8, "slide_hand": 5.0})
+    slide = SlidingHand({"slide_most": 1.0, "slide_speed": 0.05, "slide_weights": 0.3, "slide_burden": 9.8, "slide_hand": 5.0})
     one = by_two_hands(SoftGrip({"grip_rate": 60.0, "grip_damping": 1.0}), slide)
     _, _x, _v, carried = Batch([one], fps=30, substeps=100, double=True).march(0, 15, whole=True)
     assert (carried.slid[0] == 0).all() and carried.slid[1, 2] > 0.005  # 0.05 (1 - 0.3) m/s for half a second were 0.0175
@@ -214,7 +214,7 @@ def test_a_hand_lets_slip_what_is_heavier_than_it_holds(weights):
     # 2 M g does not reach s. Springs of 60 1/s with a fifth of critical damping have decayed by exp(-24) after two seconds; what slides
     # in a substep counts at its end, a share c w^2 / g dt of the lag
     rate, speed = 60.0, 0.05
-    slide = SlidingHand({"slide_speed": speed, "slide_weights": weights, "slide_burden": 9.8})
+    slide = SlidingHand({"slide_most": 1.0, "slide_speed": speed, "slide_weights": weights, "slide_burden": 9.8})
     one = block(Gravity({"gravity_z": -9.8}), SoftGrip({"grip_rate": rate}), slide, hold=lambda home: home[:, 0] < np.inf)
     one.points.held[one.points.masses == 0] = 0.0
     path = middle(one, Batch([one], fps=30, substeps=400, double=True).rollout(91).positions[0])[:, 2]
@@ -222,6 +222,19 @@ def test_a_hand_lets_slip_what_is_heavier_than_it_holds(weights):
         assert path[-1] - path[0] == pytest.approx(-9.8 / rate**2, abs=2e-6)
     else:
         assert (path[90] - path[60]) == pytest.approx(-speed * (1 - weights), rel=speed * rate**2 / 9.8 / (30 * 400))
+
+
+@pytest.mark.parametrize("most", [0.004, 0.03])
+def test_what_slides_is_held_again(most):
+    # as above with s = 0.6: it slides by c (1 - s) t, 0.06 m in three seconds, and d at most, where it stays; then it hangs at its lag
+    rate, speed = 60.0, 0.05
+    slide = SlidingHand({"slide_most": most, "slide_speed": speed, "slide_weights": 0.6, "slide_burden": 9.8})
+    hand = SoftGrip({"grip_rate": rate, "grip_damping": 1.0})
+    one = block(Gravity({"gravity_z": -9.8}), hand, slide, hold=lambda home: home[:, 0] < np.inf)
+    one.points.held[one.points.masses == 0] = 0.0
+    path = middle(one, Batch([one], fps=30, substeps=200, double=True).rollout(91).positions[0])[:, 2]
+    assert path[90] - path[0] == pytest.approx(-most - 9.8 / rate**2, rel=1e-3)
+    assert path[80] == pytest.approx(path[90], abs=1e-7)
 
 
 def test_what_a_hand_holds_slides_as_one():
@@ -235,7 +248,7 @@ def test_what_a_hand_holds_slides_as_one():
     )
     one.points.held[one.points.masses == 0] = 0.0
     burden = 9.8 * MASS / (one.points.held @ one.points.masses)
-    terms = [*one.terms, SlidingHand({"slide_speed": speed, "slide_weights": weights, "slide_burden": burden})]
+    terms = [*one.terms, SlidingHand({"slide_most": 1.0, "slide_speed": speed, "slide_weights": weights, "slide_burden": burden})]
     one = replace(one, terms=terms, hands=np.zeros(one.controllers.shape[1], int))
     batch = Batch([one], fps=30, substeps=400, double=True)
     out, _x, _v, carried = batch.march(0, 60, whole=True)
@@ -247,7 +260,7 @@ def test_what_a_hand_holds_slides_as_one():
 
 def test_what_slid_out_of_a_hand_does_not_come_back():
     # gravity is turned off: the body stays where it slid to
-    slide = SlidingHand({"slide_speed": 0.05, "slide_weights": 0.6, "slide_burden": 9.8})
+    slide = SlidingHand({"slide_most": 1.0, "slide_speed": 0.05, "slide_weights": 0.6, "slide_burden": 9.8})
     one = block(Gravity({"gravity_z": -9.8}), SoftGrip({"grip_rate": 60.0, "grip_damping": 1.0}), slide, hold=lambda h: h[:, 0] < np.inf)
     one.points.held[one.points.masses == 0] = 0.0
     batch = Batch([one], fps=30, substeps=40, double=True)
@@ -278,10 +291,11 @@ def graded(term, memory, scale, **values):
     return batch, inputs
 
 
-@pytest.fixture(scope="module", params=[-1.0, 1.0], ids=["all hands", "one hand"])
+@pytest.fixture(scope="module", params=[(-1.0, 0.02), (1.0, 0.02), (-1.0, 0.007)], ids=["all hands", "one hand", "two are held again"])
 def sliding(request):
     """Bodies that slide out of their hands, some way from where these took hold of them."""
-    return graded(SlidingHand, "slid", 1e-4, slide_hand=request.param)
+    hand, most = request.param
+    return graded(SlidingHand, "slid", 1e-4, slide_hand=hand, slide_most=most)
 
 
 @pytest.mark.parametrize("name", ["x", "v", "mass", "path", "held", "slid"])
@@ -333,7 +347,7 @@ def test_a_batch_is_its_systems_to_the_last_bit():
 def test_going_on_is_not_stopping():
     # what the ground and hands remember is carried on: two marches in a row are one
     ground = CoulombGround({"coulomb_normal_z": 1.0, "coulomb_offset": 0.001})
-    hand = SoftGrip({"grip_rate": 60.0}), SlidingHand({"slide_speed": 0.1, "slide_weights": 0.05, "slide_burden": 9.8})
+    hand = SoftGrip({"grip_rate": 60.0}), SlidingHand({"slide_most": 1.0, "slide_speed": 0.1, "slide_weights": 0.05, "slide_burden": 9.8})
     one = block(Gravity({"gravity_z": -9.8, "gravity_x": 2.0}), ground, *hand, hold=lambda home: home[:, 0] < 0.02)
     batch = Batch([one], fps=30, substeps=40)
     whole = batch.march(0, 6)[0]
