@@ -228,7 +228,7 @@ def _test(answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> dict:
     t = answer.test
     said = {name: getattr(t, name) for name in ("p", "p_members", "p_misfit", "p_scan", "p_held_out")}
     counts = dict(level=config.level, members=len(evidence.noisy), controls=len(t.controls.standardised) if t.controls else 0)
-    return said | counts | dict(misfit=t.misfit, standardised=dict(t.standardised))
+    return said | counts | dict(misfit=t.misfit, standardised=dict(t.standardised), at_hands=t.at_hands)
 
 
 def _where(first: Named, scene: Scene) -> dict | None:
