@@ -54,8 +54,8 @@ class DiagnosisConfig:
     reshaped    standard deviation, as a factor, of a time, length or speed of an effect from where it was tried in such a refit: times that
                 are tried lie a factor of four apart, and others are tried at one or two
     steps       of such a refit, at most, of one to three runs each; it ends where fresh slopes lead nowhere, which take as many runs as it
-                has unknowns. Three steps left a wind of 15 mm, nine a hand that gives way (116 mm) far from where refits end; that one
-                takes twenty
+                has unknowns. Three steps left a wind of 15 mm, nine a hand that gives way (116 mm) far from where refits end, which takes
+                twenty, and 24 a slipping hand, which takes 70 runs more (results/inference.md)
     runs        of such a refit, at most: a rope's takes some 60, of an obstacle or a slipping hand up to 270 (results/inference.md), one
                 that moves a cable by decimetres would take a thousand of seconds each
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
@@ -96,7 +96,7 @@ class DiagnosisConfig:
     refitted: int = 4
     astray: float = 25.0
     reshaped: float = 2.0
-    steps: int = 24
+    steps: int = 60
     runs: int = 300
     parallel: float = 0.95
     clearly: float = 6.7

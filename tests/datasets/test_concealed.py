@@ -488,6 +488,36 @@ def test_a_grip_slips_down_by_what_it_may():
     assert 6 <= slipped.events["slip"] <= 8 and not held.events  # from 0.2 s on, where the grip pulls with more than half the weight
 
 
+def test_what_slips_is_not_thrown_to_and_fro():
+    # M kg that slide as one pull with M (g - u'), of the step before: r M u' + u = r (M g - F), so that u tends to r (M g - F) from below,
+    # and the hand carries no more than M g
+    mass, threshold, dt, most = 0.04, 0.6, 1 / 960, 0.03
+    weight = mass * GRAVITY
+    down, speeds, forces = np.array([0.0, 0.0, -1.0]), [0.0, 0.0], []
+
+    class Sliding:
+        gripped, body, events, anchors = [np.array([0])], SimpleNamespace(mass=np.full(4, mass / 4)), {}, np.zeros((1, 3))
+
+        def grip_force(self, hand):
+            forces.append(mass * (GRAVITY - (speeds[-1] - speeds[-2]) / dt))
+            return forces[-1] * down
+
+        def rotation(self, hand):
+            return np.eye(3)
+
+    world = Sliding()
+    world.dt = dt
+    step = laws.slip(threshold * weight, 0.8 / weight, most)(world)
+    for k in range(int(0.5 / dt)):
+        before = world.anchors[0, 2]
+        step(0.3 + k * dt, None, None)
+        speeds.append((before - world.anchors[0, 2]) / dt)
+    ended = int(np.argmax(np.cumsum(speeds) * dt > 0.9 * most))
+    assert world.anchors[0] == pytest.approx([0, 0, -most])
+    assert min(speeds) >= 0 and max(speeds[:ended]) < 0.8 * (1 - threshold)
+    assert max(forces[:ended]) <= weight and min(forces[:ended]) > 0.5 * weight
+
+
 def test_a_torn_seam_carries_nothing():
     body = replace(sheet(height=0.5, cells=5), drag=0.5)
     middle = np.abs(body.vertices[body.elements].mean(axis=1)[:, 0] - 0.05) < 0.01
