@@ -21,7 +21,7 @@ from .amounts import Scale
 from .forward import Forward
 from .likelihood import Likelihood
 from .scan import Signature
-from .search import FARTHEST, Asked, Search, normal
+from .search import FARTHEST, Asked, Place, Search, normal
 from .slopes import corrected
 
 __all__ = ["Gain", "Refit", "Start", "begun", "gained", "refitted"]
@@ -62,44 +62,76 @@ class Refit:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a refit begins: ``numbers`` (N,) as ``Place`` has them, amounts on a ``scale``; ``log_evidence`` there."""
+    """Where a refit of ``signature``'s candidate begins: ``numbers`` (N,) as ``Place`` has them, amounts on a ``scale``; ``log_evidence``
+    there."""
 
+    signature: Signature
     scale: Scale
     numbers: np.ndarray
     log_evidence: float
 
 
-def begun(forward: Forward, asked: Asked, signature: Signature, config: DiagnosisConfig) -> Start | None:
-    """The best of some sizes of ``signature``'s candidate, each beside the twin where its fit ended, the most promising also beside one
-    that has changed as the reference's slopes ask for; arguments as ``refitted`` has them.
+def begun(forward: Forward, asked: Asked, signatures: Sequence[Signature], config: DiagnosisConfig) -> list[Start]:
+    """The best of some sizes of the candidates of ``signatures``, one effect in its shapes, each beside the twin where its fit ended, the
+    most promising also beside one that has changed as the reference's slopes ask for; other arguments as ``refitted`` has them.
 
-    Of an effect that hides (``Effect.hides``) shapes are tried beside the one that is asked, and what it hides in is also as it was told.
+    Of an effect that hides (``Effect.hides``) there are two: the other is the most promising of these sizes where what it hides in is as it
+    was told. What a fit has made up for leaves no sign of where the truth is: a start there may be far worse than none, and lead to it.
+    Where its shapes are not tried one by one, they are tried beside the one that is asked.
     None of a fault of what was measured, which is nearly linear.
     """
-    if signature.candidate.effect.seen:
-        return None
-    search = Search.of(forward.fitted_alone(asked.reference), asked, signature, config)
-    assert search.scale is not None  # as of all that has a signature
-    places, unknowns = search.places(_sizes(search, signature)), search.parts[0]
-    steps = {k: search.step(at, search.slopes, search.low, search.high, unknowns) for k, at in enumerate(places) if np.isfinite(at.cost)}
-    best = sorted(steps, key=lambda k: places[k].cost - steps[k][1])[:LED]
-    changed = [np.clip(places[k].numbers + steps[k][0], search.low, search.high) for k in best]
-    at = min([search.place(np.zeros(search.size), asked.reference), *places, *search.places(changed)], key=lambda one: one.cost)
-    return Start(search.scale, at.numbers, search.evidence(at, search.slopes)[0])
+    effect, alone = signatures[0].candidate.effect, forward.fitted_alone(asked.reference)
+    if effect.seen:
+        return []
+    told, searches = _told(forward, effect.hides), [Search.of(alone, asked, one, config) for one in signatures]
+    shapes = list(product(FORMS if effect.hides and len(signatures) == 1 else (0.0,), repeat=len(effect.forms)))
+    found = []
+    for bend in (np.zeros_like(told), told) if told.any() else (told,):
+        tried = [one for search in searches for one in _tried(search, _sizes(search, bend, shapes))]
+        best = sorted(tried, key=lambda one: one.promised)[:LED]
+        ends = [(one.search, one.at) for one in (best[:1] if bend.any() else tried)]
+        ends += [(one.search, one.led()) for one in (best[:1] if bend.any() else best)]
+        if not bend.any():
+            ends.append((searches[0], searches[0].place(np.zeros(searches[0].size), asked.reference)))
+        if ends:
+            search, at = min(ends, key=lambda end: end[1].cost)
+            assert search.signature is not None and search.scale is not None  # as of all that is begun
+            found.append(Start(search.signature, search.scale, at.numbers, search.evidence(at, search.slopes)[0]))
+    return found
 
 
-def _sizes(search: Search, signature: Signature) -> np.ndarray:
-    """(K, N) numbers: sizes of each amount, on its sides; of what hides with all shapes, and what it hides in as it was told."""
-    effect, spots = signature.candidate.effect, np.zeros(len(signature.candidate.coordinates))
-    knots = search.scale.knots if search.scale else None
+@dataclass(frozen=True, eq=False)
+class _Size:
+    """One that was run, at a place, and a ``step`` of the twin's own numbers from there that promises a cost of ``promised``."""
+
+    search: Search
+    at: Place
+    step: np.ndarray
+    promised: float
+
+    def led(self) -> Place:
+        return self.search.places([np.clip(self.at.numbers + self.step, self.search.low, self.search.high)])[0]
+
+
+def _tried(search: Search, numbers: np.ndarray) -> list[_Size]:
+    """Of ``numbers`` (K, N), those that do not diverge."""
+    found = []
+    for at in search.places(numbers):
+        if np.isfinite(at.cost):
+            step, gain = search.step(at, search.slopes, search.low, search.high, search.parts[0])
+            found.append(_Size(search, at, step, at.cost - gain))
+    return found
+
+
+def _sizes(search: Search, bend: np.ndarray, shapes: Sequence[Sequence[float]]) -> np.ndarray:
+    """(K, N) numbers: sizes of each amount, on its sides, in all ``shapes``, where the twin's numbers are off by ``bend`` (n,)."""
+    assert search.signature is not None and search.scale is not None
+    candidate, knots = search.signature.candidate, search.scale.knots
     if knots is None:
-        sizes = [side * way * one for one in np.eye(len(effect.amounts)) for way in WAYS for side in (1.0, -1.0)]
+        sizes = [side * way * one for one in np.eye(len(candidate.effect.amounts)) for way in WAYS for side in (1.0, -1.0)]
     else:
         sizes = [np.array([number]) for number in knots[0] if number]
-    told = _told(search.forward, effect.hides)
-    bends = [np.zeros_like(told), told] if told.any() else [told]
-    shapes = product(FORMS if effect.hides else (0.0,), repeat=len(effect.forms))
-    found = [np.concatenate([bend, size, spots, shape]) for bend, size, shape in product(bends, sizes, shapes)]
+    found = [np.concatenate([bend, size, np.zeros(len(candidate.coordinates)), shape]) for size, shape in product(sizes, shapes)]
     return np.clip(found, search.low, search.high)
 
 
@@ -152,8 +184,9 @@ def _searched(forward, asked, signature, config, sound, start) -> Refit:
     held = np.zeros(search.size, bool)
     held[forms] = True
     if start is not None and start.numbers.any():
-        at = min(at, *search.places([start.numbers]), key=lambda one: one.cost)
-        if at.numbers.any():
+        [there] = search.places([start.numbers])
+        if np.isfinite(there.cost):
+            at = there
             jacobian, fresh = search.measured(at, jacobian, low, high, ~held), True
     first = forward.cost.runs
     low[held], high[held] = at.numbers[held], at.numbers[held]

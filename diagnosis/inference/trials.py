@@ -53,18 +53,19 @@ class Trials:
         where refits were worse than their linear evidence, the likeliest may be one that was not refitted, which then is."""
         e, rows, likely = self.evidence, self.asked.rows, self.likely
 
-        def begin(k: int, forward: Forward) -> Start | None:
-            return begun(forward, self.asked, e.catalogue[k], self.config)
+        def begin(k: int, forward: Forward) -> list[Start]:
+            return begun(forward, self.asked, [e.catalogue[j] for j in _in_other_shapes(e.catalogue, k)], self.config)
 
         firsts = [own[0] for own in likely.values()]
         starts = dict(zip(firsts, e.forward.each(begin, firsts), strict=True))
-        led = {e.catalogue[k].name: self.over_sound(k, one) for k, one in starts.items() if one}
+        led = {e.catalogue[k].name: max(self.over_sound(k, one) for one in own) for k, own in starts.items() if own}
         left_out = e.scatter.only(rows).left_out(self.prior, parameters=False)
         members = list(zip(left_out, e.noisy[:, rows], strict=True))
 
         def refit(k: int, forward: Forward) -> Refit:
-            start = starts[k] if k in starts else begin(k, forward)
-            return refitted(forward, self.asked, e.catalogue[k], self.config, members, start)
+            own = [(one.signature, one) for one in (starts[k] if k in starts else begin(k, forward))]
+            made = [refitted(forward, self.asked, s, self.config, members, one) for s, one in own or [(e.catalogue[k], None)]]
+            return max(made, key=lambda one: one.log_evidence)
 
         found = self
         which = [k for name in _in_order(self.test.scores, led)[: self.config.refitted] for k in likely[name]]
@@ -123,6 +124,13 @@ def _in_order(scores: Sequence[Score], led: Mapping[str, float]) -> list[str]:
     for name, evidence in likeliest(scores).items():
         best[name] = max(best.get(name, -np.inf), evidence)
     return sorted(best, key=lambda name: -best[name])
+
+
+def _in_other_shapes(catalogue: Sequence[Signature], k: int) -> list[int]:
+    """The ``k``-th candidate first, and of an effect that hides those in its other shapes, of the same hand."""
+    one = catalogue[k]
+    others = [j for j, s in enumerate(catalogue) if s.name == one.name and j != k and _hand(s) == _hand(one)]
+    return [k, *(others if one.candidate.effect.hides else [])]
 
 
 def _hand(one: Signature) -> float | None:

@@ -496,8 +496,9 @@ def test_a_refit_begins_at_much_of_an_effect_that_a_little_of_says_nothing_about
 
     hiding = Candidate(replace(effect(low=0.0), hides="grip"), {})
     tried = Signature(hiding, -one.columns, np.full(1, 5.0), np.full(1, 20.0))  # 5 of it make 1 mm where the fit ended
-    start = begun(*given, tried, DiagnosisConfig())
+    here, start = begun(*given, [tried], DiagnosisConfig())
     right, stuck = (refitted(*given, tried, DiagnosisConfig(), (), s) for s in (start, None))
+    assert here.numbers[0] > -2.0  # about where the fit ended
     assert start.numbers[0] == pytest.approx(-4.0, abs=2.0) and start.numbers[3] > 0  # as it was told, and much of it
     assert right.amounts[0] == pytest.approx(40.0, rel=0.1) and right.shift[0] == pytest.approx(-4.0, rel=0.1)
     assert stuck.amounts[0] < 1.0 and start.log_evidence > stuck.log_evidence + 10  # effects are refitted in the order of starts
@@ -526,9 +527,9 @@ def test_each_of_several_amounts_is_begun_both_ways():
     scatter, _, _ = world.evidence(world.reference)
     for name, sign in (("push", 1.0), ("pull", -1.0)):
         data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0) | {name: 25.0 * sign}])[0]
-        given = (twins, Asked(data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE)), tried)
-        start = begun(*given, DiagnosisConfig())
-        led, k = refitted(*given, DiagnosisConfig(), (), start), ("push", "pull").index(name)
+        given = (twins, Asked(data, world.reference, world.slopes, scatter.likelihood(PRIOR, parameters=False), np.arange(SIZE)))
+        [start] = begun(*given, [tried], DiagnosisConfig())
+        led, k = refitted(*given, tried, DiagnosisConfig(), (), start), ("push", "pull").index(name)
         assert sign * start.numbers[3 + k] > 0 == start.numbers[4 - k]
         assert led.amounts[k] == pytest.approx(25.0 * sign, rel=0.05) and abs(led.amounts[1 - k]) < 1.0
 
@@ -580,7 +581,7 @@ def test_what_hides_is_begun_at_other_shapes_than_the_one_that_is_asked():
     scatter, _, _ = world.evidence(world.reference)
     fitting = scatter.likelihood(PRIOR, parameters=False)
     data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0, push=15.0, pace=4.0)])[0]
-    start = begun(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig())
+    [start] = begun(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), [one], DiagnosisConfig())
     assert start.numbers[-1] == 2.0 and start.numbers[3] > 0  # two deviations of a factor of two
 
 
@@ -591,7 +592,7 @@ def test_a_fault_of_what_was_measured_is_not_begun():
     fault = Signature(Candidate(replace(effect(), seen=lambda scene, amounts: scene), {}), one.columns, np.ones(1), np.full(1, 20.0))
     fitting = world.evidence(world.reference)[0].likelihood(PRIOR, parameters=False)
     asked = Asked(world.reference, world.reference, world.slopes, fitting, np.arange(SIZE))
-    assert begun(twins, asked, fault, DiagnosisConfig()) is None and twins.cost.runs == 0
+    assert begun(twins, asked, [fault], DiagnosisConfig()) == [] and twins.cost.runs == 0
 
 
 def test_sizes_whose_motion_is_known_are_run_once():
@@ -602,7 +603,7 @@ def test_sizes_whose_motion_is_known_are_run_once():
     fitting = scatter.likelihood(PRIOR, parameters=False)
     data = twins.rows([dict(p0=0.3, p1=0.0, p2=0.0, push=12.0)])[0]
     before = twins.cost.runs
-    start = begun(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig())
+    [start] = begun(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), [one], DiagnosisConfig())
     assert start.numbers[3] > 0 and twins.cost.runs - before == 10 + 2  # five sizes on each side, two that are led
     first = twins.cost.runs
     given = (twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one)
