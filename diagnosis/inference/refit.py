@@ -85,19 +85,21 @@ def begun(forward: Forward, asked: Asked, signatures: Sequence[Signature], confi
         return []
     told, searches = _told(forward, effect.hides), [Search.of(alone, asked, one, config) for one in signatures]
     shapes = list(product(FORMS if effect.hides and len(signatures) == 1 else (0.0,), repeat=len(effect.forms)))
-    found = []
-    for bend in (np.zeros_like(told), told) if told.any() else (told,):
-        tried = [one for search in searches for one in _tried(search, _sizes(search, bend, shapes))]
-        best = sorted(tried, key=lambda one: one.promised)[:LED]
-        ends = [(one.search, one.at) for one in (best[:1] if bend.any() else tried)]
-        ends += [(one.search, one.led()) for one in (best[:1] if bend.any() else best)]
-        if not bend.any():
-            ends.append((searches[0], searches[0].place(np.zeros(searches[0].size), asked.reference)))
-        if ends:
-            search, at = min(ends, key=lambda end: end[1].cost)
-            assert search.signature is not None and search.scale is not None  # as of all that is begun
-            found.append(Start(search.signature, search.scale, at.numbers, search.evidence(at, search.slopes)[0]))
-    return found
+
+    def tried(bend) -> list[_Size]:
+        """The most promising first."""
+        found = [one for search in searches for one in _tried(search, _sizes(search, bend, shapes))]
+        return sorted(found, key=lambda one: one.promised)
+
+    nothing, here = (searches[0], searches[0].place(np.zeros(searches[0].size), asked.reference)), tried(np.zeros_like(told))
+    starts = [[nothing, *(one.end for one in here), *(one.led() for one in here[:LED])]]
+    starts += [[one.end, one.led()] for one in (tried(told)[:1] if told.any() else ())]
+    return [_start(*min(ends, key=lambda end: end[1].cost)) for ends in starts]
+
+
+def _start(search: Search, at: Place) -> Start:
+    assert search.signature is not None and search.scale is not None  # as of all that is begun
+    return Start(search.signature, search.scale, at.numbers, search.evidence(at, search.slopes)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +111,14 @@ class _Size:
     step: np.ndarray
     promised: float
 
-    def led(self) -> Place:
-        return self.search.places([np.clip(self.at.numbers + self.step, self.search.low, self.search.high)])[0]
+    @property
+    def end(self) -> tuple[Search, Place]:
+        return self.search, self.at
+
+    def led(self) -> tuple[Search, Place]:
+        """A step further."""
+        search = self.search
+        return search, search.places([np.clip(self.at.numbers + self.step, search.low, search.high)])[0]
 
 
 def _tried(search: Search, numbers: np.ndarray) -> list[_Size]:

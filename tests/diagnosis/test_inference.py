@@ -22,7 +22,7 @@ from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_er
 from twinbench.diagnosis.inference.search import Asked
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
-from twinbench.diagnosis.inference.trials import Trials, _chances, _in_order, _likely
+from twinbench.diagnosis.inference.trials import Trials, _chances, _in_order, _in_other_shapes, _likely
 from twinbench.physics.parameters import Parameter
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
@@ -583,6 +583,19 @@ def test_what_hides_is_begun_at_other_shapes_than_the_one_that_is_asked():
     data = twins.rows([dict(p0=0.0, p1=0.0, p2=0.0, push=15.0, pace=4.0)])[0]
     [start] = begun(twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), [one], DiagnosisConfig())
     assert start.numbers[-1] == 2.0 and start.numbers[3] > 0  # two deviations of a factor of two
+
+    # where it is tried in that shape as well, it is begun in that one, and no other is
+    slow, fast = (replace(one, candidate=Candidate(paced, {"pace": pace, "hand": hand})) for pace, hand in ((1.0, 0.0), (4.0, 0.0)))
+    asked = Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE))
+    [start] = begun(twins, asked, [slow, fast], DiagnosisConfig())
+    assert start.signature is fast and start.numbers[-1] == 0.0 and start.numbers[3] > 0
+    handed = replace(paced, hand="hand")
+    catalogue = [
+        replace(one, candidate=Candidate(handed, {"pace": p, "hand": h})) for p, h in ((1.0, 0.0), (1.0, 1.0), (4.0, 0.0), (4.0, 1.0))
+    ]
+    assert _in_other_shapes(catalogue, 2) == [2, 0] and _in_other_shapes(catalogue, 1) == [1, 3]
+    catalogue = [replace(s, candidate=replace(s.candidate, effect=replace(handed, hides=""))) for s in catalogue]
+    assert _in_other_shapes(catalogue, 2) == [2]
 
 
 def test_a_fault_of_what_was_measured_is_not_begun():
