@@ -36,6 +36,8 @@ __all__ = ["Asked", "ask", "asked", "informed", "sound_twin", "told_twin"]
 LOST = 0.5  # of the motion: a twin that misses more was fitted to nonsense, and what a little of an effect does to it means nothing. Where
 # it misses less, effects of the catalogue say what a hand does, and a hand that goes where it likes would explain much that none did
 
+LOST_RUNS = 120  # of a refit of such a twin, at most: a run of it takes seconds, and where it leads says little
+
 LARGER = 1.5  # times as large as usual, cells of a second search
 
 FEW = 3  # recordings: from a fit of so many, in which starts are told apart, that of more begins
@@ -127,9 +129,11 @@ def asked(
     twin = there(fitted, recordings[0]) if apart else fitted
     evidence = asking.evidence(recordings, twin)
     found, hold = tested(evidence, config), None
-    if found.alarms(config) and found.test.standardised["left"] > np.log(LOST) and len(recordings) == 1 and not against:
+    lost = found.test.standardised["left"] > np.log(LOST)
+    if found.alarms(config) and lost and len(recordings) == 1 and not against:
         hold = held(recordings[0], evidence, found.prior, asking.again, asking.look, config, progress=progress)
-    answer = weighed(evidence, config, found, refits=not (hold and explains(hold, found.test, config)), progress=progress)
+    spent = replace(config, runs=min(config.runs, LOST_RUNS)) if lost else config
+    answer = weighed(evidence, spent, found, refits=not (hold and explains(hold, found.test, config)), progress=progress)
     if hold and answer.verdict == "unknown":
         answer = believed(hold, answer, evidence, config)
         if answer.verdict == "named":
