@@ -256,9 +256,9 @@ def ask(
     ``transfer`` recordings are simulated with the twin as it was and with what was named, and never fitted or chosen by. ``fitted_on`` are
     recordings in which nothing is missing: what ``recordings`` have beyond them is asked. ``against`` are such of the same command: what a
     twin gets wrong in the same way in both is no difference, and how far the one recording differs is asked; of markers that motors move
-    joints are compared (``motors``). Beside such, and of markers
-    beside ``inference.peers.FEWEST`` sound recordings and more, the frames are asked that all of them have. Raises ValueError for
-    recordings that do not suit (``suitable``, ``inference.contrast.comparable``, ``inference.peers.compared``), or both kinds at once.
+    joints are compared (``motors``). Beside such, and of markers beside ``inference.peers.FEWEST`` sound recordings and more, the frames
+    are asked that all of them have. Raises ValueError for recordings that do not suit (``suitable``, ``inference.contrast.comparable``,
+    ``inference.peers.compared``), or both kinds at once.
     """
     begun, config = time.time(), config or DiagnosisConfig()
     if against and (fitted_on or len(recordings) != 1):

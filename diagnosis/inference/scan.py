@@ -46,13 +46,19 @@ class Signature:
 @dataclass(frozen=True)
 class Score:
     """z: standard normal deviate of the score statistic, of which one-sided amounts count on their side alone; ``log_evidence`` of the
-    linear effect over none; ``sizes`` (m,) its likeliest amounts in units; ``explains``: its share of the whitened misfit."""
+    linear effect over none, of which ``told`` is by what was told of it beside; ``sizes`` (m,) its likeliest amounts in units;
+    ``explains``: its share of the whitened misfit."""
 
     name: str
     z: float
     log_evidence: float
     sizes: tuple[float, ...]
     explains: float
+    told: float = 0.0
+
+    def beside(self, told: float) -> Score:
+        """With so much evidence for its effect beside."""
+        return replace(self, log_evidence=self.log_evidence + told, told=told)
 
 
 def signatures(

@@ -13,7 +13,7 @@ all the same, which tracks tell without a twin (``carried``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -108,10 +108,8 @@ def significance(
     asked = [fitted_rows(s, rows) for s in catalogue]
     likelihood = scatter.likelihood(prior)
     at_hands = _at_hands(controls, hands or {}, farther)
-    told = [at_hands if s.candidate.effect.at_hands else 0.0 for s in asked]
-    found = [
-        replace(one, log_evidence=one.log_evidence + nats) for one, nats in zip(scores(likelihood, residual, asked), told, strict=True)
-    ]
+    found = scores(likelihood, residual, asked)
+    found = [one.beside(at_hands) if s.candidate.effect.at_hands else one for one, s in zip(found, asked, strict=True)]
     left_out = scatter.left_out(prior)
     misfit, misfits = _misfits(likelihood, left_out, residual, noisy)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]

@@ -91,9 +91,8 @@ class Trials:
         return found
 
     def over_sound(self, k: int, one: Refit | Start) -> float:
-        """Log evidence of ``one`` of the ``k``-th candidate over that of the sound twin, with what hands tell of such an effect."""
-        told = self.test.at_hands if self.evidence.catalogue[k].candidate.effect.at_hands else 0.0
-        return one.log_evidence - self.sound.log_evidence + told
+        """Log evidence of ``one`` of the ``k``-th candidate over that of the sound twin, with what was told of it beside."""
+        return one.log_evidence - self.sound.log_evidence + self.test.scores[k].told
 
     @property
     def chances(self) -> dict[str, float]:

@@ -41,7 +41,7 @@ class GSDynamicsTwin(Twin):
         controllers = np.asarray(controllers, float)
         if controllers.shape[1:] != self.place.controllers.shape:
             raise ValueError(f"controllers must have shape (T, {len(self.place.controllers)}, 3), got {controllers.shape}")
-        with threads_for(self.config.most_nodes * self.config.width):
+        with threads_for(self.config.most_nodes * self.config.width), repeatable():
             frames, states = self._steps(controllers)
         positions = fill(frames, states, len(controllers))
         self._hold(positions, controllers)
@@ -78,7 +78,7 @@ class GSDynamicsTwin(Twin):
         action = np.where(tool[:, None], np.concatenate([state[nodes], tools]) - past[-1], 0.0)
         pairs = join(past[-1], tool, self.config)
         floats = (torch.as_tensor(a, dtype=torch.float32, device=self.device) for a in (past, action))
-        with torch.no_grad(), repeatable():
+        with torch.no_grad():
             step = self.network(*floats, *(torch.as_tensor(a, device=self.device) for a in (tool, pairs)))
         before, after = past[-1, ~tool], step.cpu().numpy().astype(float)[~tool]
         if not np.isfinite(after).all():
