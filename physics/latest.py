@@ -4,6 +4,7 @@ values."""
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
+from threading import Lock
 from typing import Generic, TypeVar
 
 __all__ = ["Latest"]
@@ -12,17 +13,19 @@ Made = TypeVar("Made")
 
 
 class Latest(Generic[Made]):
-    """What was made last, which is made anew only for another key. It is no part of what is copied, pickled or compared."""
+    """What was made last, which is made anew only for another key; threads wait for each other. It is no part of what is copied, pickled
+    or compared."""
 
     def __init__(self):
-        self._key, self._made = None, None
+        self._key, self._made, self._lock = None, None, Lock()
 
     def of(self, key: Hashable, make: Callable[[], Made]) -> Made:
         """That of ``key``, by ``make`` unless it is the last one's."""
-        if self._made is None or key != self._key:
-            self._key, self._made = None, None  # what is no longer needed makes room first
-            self._key, self._made = key, make()
-        return self._made
+        with self._lock:
+            if self._made is None or key != self._key:
+                self._key, self._made = None, None  # what is no longer needed makes room first
+                self._key, self._made = key, make()
+            return self._made
 
     def __reduce__(self):
         return Latest, ()

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
-from threading import Lock, RLock, local
+from contextlib import contextmanager, nullcontext
+from threading import Lock, RLock, Semaphore, local
 from typing import Any, TypeVar
 
 import torch
@@ -24,34 +24,49 @@ Found = TypeVar("Found")
 
 COMPILER = RLock()  # Warp's: it makes and loads one kernel at a time
 WHOLE = Lock()  # of a GPU: blocks that wait for each other must all have a processor
-_HERE = local()  # of a thread that works on a piece: how many threads fall to it
+_HERE = local()  # of a thread that works on a piece: the room that it takes a place of
 
 
 def side_by_side(work: Callable[[Item], Found], items: Iterable[Item], device: str, *, workers: int | None = None) -> list[Found]:
     """What ``work`` returns for each of ``items``, in their order; what it finds must not depend on who else is at work.
 
-    ``device`` "cpu", "cuda" or "cuda:1" is where it computes. As many at a time as there are threads (``cores.threads``), or as fall to
-    a piece of ``work`` that asks for this itself, or ``workers``. Raises what ``work`` raises, of the first item that does.
+    ``device`` "cpu", "cuda" or "cuda:1" is where it computes. As many at a time as there are threads (``cores.threads``), or ``workers``.
+    Where a piece of ``work`` asks for this itself, its pieces take its place and any that others have left: the last piece of all is not
+    left to one thread. Raises what ``work`` raises, of the first item that does.
     """
-    items, room = list(items), workers or getattr(_HERE, "threads", 0) or threads()
-    count = min(room, len(items))
+    items, size = list(items), workers or threads()
+    count = min(size, len(items))
     if count <= 1:
         return [work(item) for item in items]
-    cuda = torch.device(device).type == "cuda"
+    cuda, outer = torch.device(device).type == "cuda", getattr(_HERE, "room", None)
+    room = outer or Semaphore(size)
 
     def one(item: Item) -> Found:
-        _HERE.threads = max(1, room // count)
-        if not cuda:
-            return work(item)
-        with torch.cuda.stream(stream := torch.cuda.Stream(device)):
-            found = work(item)
-        stream.synchronize()
-        return found
+        with room:
+            _HERE.room = room
+            if not cuda:
+                return work(item)
+            with torch.cuda.stream(stream := torch.cuda.Stream(device)):
+                found = work(item)
+            stream.synchronize()
+            return found
 
     if cuda:
         torch.cuda.current_stream(device).synchronize()  # a new stream does not wait for it
-    with ThreadPoolExecutor(count) as pool:
+    with _left(outer), ThreadPoolExecutor(count) as pool:
         return list(pool.map(one, items))
+
+
+@contextmanager
+def _left(room: Semaphore | None):
+    """Meanwhile the place of whoever waits for its pieces is theirs."""
+    if room:
+        room.release()
+    try:
+        yield
+    finally:
+        if room:
+            room.acquire()
 
 
 def launch(kernel, *, dim, inputs: list, device: str, block_dim: int | None = None, waiting: bool = False) -> None:

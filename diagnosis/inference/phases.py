@@ -21,7 +21,7 @@ from .evidence import Evidence, gathered
 from .refit import Gain, Refit, gained
 from .scan import Signature
 from .significance import Significance, fitted_rows, significance, unexplained
-from .trials import Trials
+from .trials import Trials, chances_of
 from .wander import Wander, wander
 
 __all__ = ["Answer", "Named", "Tested", "infer", "shortcoming", "tested", "weighed"]
@@ -118,12 +118,12 @@ def weighed(
     prior, test, alarm = found.prior, found.test, found.alarms(config)
     holds = f"; a hand holds {np.exp(-test.standardised['grip']):.2f} of what was told" if "grip" in test.standardised else ""
     tell(f"p {test.p:.3g} (misfit {test.p_misfit:.3g}, scan {test.p_scan:.3g}{holds})")
-    trials = Trials.of(e, prior, test, config)
-    if alarm and refits:
-        trials = trials.with_refits()
-    tell(f"{len(trials.best)} candidates refitted")
-    rows, sound, chances = trials.asked.rows, trials.sound, trials.chances
-    best = [(e.catalogue[k], trials.made[k], trials.over_sound(k, trials.made[k])) for k in trials.best.values()]
+    trials = Trials.of(e, prior, test, config).with_refits() if alarm and refits else None
+    best = [(e.catalogue[k], trials.made[k], trials.over_sound(k, trials.made[k])) for k in trials.best.values()] if trials else []
+    tell(f"{len(best)} candidates refitted")
+    sound = trials.sound.prediction if trials else e.forward.data - e.residual
+    chances = trials.chances if trials else chances_of(test, e.catalogue, {})
+    rows = np.flatnonzero(scatter.layout.fitted)
     whole, seen = scatter.only(rows).likelihood(prior), (e.forward.data[rows], e.forward.motion[rows])
     left = [unexplained(test, whole, seen[0] - r.prediction[rows], seen[1]) for _, r, _ in best]
     usual = np.diag(scatter.expected(prior) + scatter.noise)
@@ -131,7 +131,7 @@ def weighed(
     named = sorted(named, key=lambda n: -n.probability)
     confirmed = bool(named) and shortcoming(named[0], config) is None
     verdict = "unfounded" if not found.founded else "adequate" if not alarm else "named" if confirmed else "unknown"
-    change = named[0].refit.prediction - sound.prediction if verdict == "named" else np.zeros(len(e.residual))
+    change = named[0].refit.prediction - sound if verdict == "named" else np.zeros(len(e.residual))
     first, below = next((s for s, r, _ in best if named and r is named[0].refit), None), _sunk(e)
     return Answer(
         verdict,
@@ -141,7 +141,7 @@ def weighed(
         chances,
         _parallel(whole, rows, first, e.catalogue, _refuted(named, config), config) if first else (),
         tuple(detectable(scatter, prior, test, e.catalogue, config.level)),
-        tuple(budget(scatter, prior, e.forward.data - sound.prediction, e.posterior, change, e.forward.missed)),
+        tuple(budget(scatter, prior, e.forward.data - sound, e.posterior, change, e.forward.missed)),
         e.forward.cost.runs,
         e.forward.cost.seconds,
         _wandering(e),
@@ -196,13 +196,13 @@ def _hands(evidence: Evidence, config: DiagnosisConfig) -> dict[str, float]:
     return {name: value for name, value in told.items() if value is not None}
 
 
-def _named(e: Evidence, signature: Signature, refit: Refit, nats: float, sound: Refit, chances, left: float, usual: np.ndarray) -> Named:
-    """``nats`` over the ``sound`` twin; ``usual`` (B,) m^2: variances of what sound twins are off by."""
+def _named(e: Evidence, signature: Signature, refit: Refit, nats: float, sound, chances, left: float, usual: np.ndarray) -> Named:
+    """``nats`` over the sound twin, which predicts ``sound`` (B,) m; ``usual`` (B,) m^2: variances of what sound twins are off by."""
     candidate, layout = refit.candidate or signature.candidate, e.scatter.layout
     away = np.flatnonzero(~layout.fitted)
     data = e.forward.data
     cells = np.unique(np.c_[layout.record, layout.place], axis=0, return_inverse=True)[1].ravel()
-    gain = gained(data[away], sound.prediction[away], refit.prediction[away], cells[away], usual[away])
+    gain = gained(data[away], sound[away], refit.prediction[away], cells[away], usual[away])
     names = [a.name for a in candidate.effect.amounts]
     amounts, sds = (dict(zip(names, map(float, values), strict=True)) for values in (refit.amounts, refit.sd))
     place = None if candidate.place is None else tuple(candidate.place.tolist())

@@ -17,7 +17,7 @@ from .scan import Score, Signature, likeliest
 from .search import Asked
 from .significance import Significance
 
-__all__ = ["Trials"]
+__all__ = ["Trials", "chances_of"]
 
 WORSE = 15.0  # nats by which the linear evidence of a second place may be less
 MOST = 2  # times ``config.refitted`` candidates that are refitted while one that was not is the likeliest
@@ -96,9 +96,9 @@ class Trials:
 
     @property
     def chances(self) -> dict[str, float]:
-        """By effect, the likeliest first: see ``_chances``."""
+        """By effect, the likeliest first: see ``chances_of``."""
         gains = {k: self.over_sound(k, self.made[k]) for k in self.best.values()}
-        return _chances(self.test, self.evidence.catalogue, gains)
+        return chances_of(self.test, self.evidence.catalogue, gains)
 
 
 def _likely(test: Significance, catalogue: Sequence[Signature], config: DiagnosisConfig) -> dict[str, list[int]]:
@@ -152,7 +152,7 @@ def _unusual(score, signature: Signature) -> float:
     return float(np.sum(np.square(over)) / 2)
 
 
-def _chances(test: Significance, catalogue, refits: Mapping[int, float]) -> dict[str, float]:
+def chances_of(test: Significance, catalogue: Sequence[Signature], refits: Mapping[int, float]) -> dict[str, float]:
     """By effect, the likeliest first: all are alike before, and so are the candidates of one.
 
     refits  evidence of refits by the index of their candidates. What a refit corrects, it corrects in all candidates of an effect: linear

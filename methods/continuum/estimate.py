@@ -38,14 +38,10 @@ MOMENT = 0.1  # s: frames so near say the same
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """values by name, the ``fit`` that they come from, notes; ``spread`` (F, N) m for each recording: how far off a sound twin may be.
-
-    Of clouds it is (F, 1), and 0: which point of the body a point is, nobody knows.
-    """
+    """values by name, the ``fit`` that they come from, notes."""
 
     values: dict[str, float]
     fit: Fit
-    spread: tuple[np.ndarray, ...]
     notes: tuple[str, ...]
 
 
@@ -152,9 +148,9 @@ def estimate(
         progress=told("search", led, 0.5 - led, search.iterations),
         **options,
     )
-    members = config.members and all(isinstance(s, Sight) for s in task.sights)
-    spread = _spread(found, task, coarse, config.members, seed) if members else np.zeros(len(task.data))
-    heard = np.hypot(task.noise, spread) if members else task.rough
+    heard = task.rough  # of clouds too: which point of the body a point is, nobody knows
+    if config.refinement and config.members and all(isinstance(s, Sight) for s in task.sights):
+        heard = np.hypot(task.noise, _spread(found, task, coarse, config.members, seed))
     solved = UNLOADINGS if config.rest == "equilibrium" else 0
     for _ in range(max(1, solved) if config.refinement else 0):
         task = task.unloaded(recordings, found.values) if solved else task
@@ -164,9 +160,7 @@ def estimate(
         found = fit(
             task.unknowns, task.simulate, task.data, heard, starts=at, steps=Steps(iterations=config.refinement), progress=tell, **options
         )
-    cuts = np.cumsum([s.data.size for s in task.sights])[:-1]
-    each = [s.each(part) for part, s in zip(np.split(spread, cuts), task.sights, strict=True)]
-    return Estimate(task.fixed | found.values, found, tuple(each), found.notes)
+    return Estimate(task.fixed | found.values, found, found.notes)
 
 
 @dataclass(frozen=True, eq=False)

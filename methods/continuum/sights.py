@@ -58,10 +58,6 @@ class Sight:
         """(B, R) m, from paths (B, F, M, 3) of the structure points."""
         return paths[:, :, : self.points.shape[1]].reshape(len(paths), -1)
 
-    def each(self, spread) -> np.ndarray:
-        """(F, N) m, of ``spread`` (R,) of the data."""
-        return spread.reshape(self.points.shape).mean(2)
-
 
 @dataclass(frozen=True, eq=False)
 class CloudSight:
@@ -115,10 +111,6 @@ class CloudSight:
         there = [self.patches.distances(cloud, now) for cloud, now in zip(self.clouds, path, strict=True)]
         back = [cover.distances(now) for cover, now in zip(self.covers, path, strict=True) if cover]
         return np.concatenate([*there, *back])
-
-    def each(self, spread) -> np.ndarray:
-        """(F, 1) m: which point of a body a point of a cloud is, nobody knows."""
-        return np.full((self.frames, 1), float(np.mean(spread)) if len(spread) else 0.0)
 
 
 def sight_of(recording: Observed, frames: int | None) -> Sight | CloudSight:

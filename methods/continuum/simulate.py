@@ -13,6 +13,7 @@ from ...datasets.scenario import Observed
 from ...physics.batch import Batch
 from ...physics.latest import Latest
 from ...physics.penetrations import Penetrations, penetrations
+from ...physics.side_by_side import side_by_side
 from ...physics.stability import stable_stepping
 from ...physics.system import FILLED, System
 from ...physics.terms import CoulombGround, Gravity, LayerContact, SoftGrip
@@ -100,13 +101,20 @@ class Simulator:
         if (rates != self.scene.fps).any():
             return self._timed(values, rates, frames, controllers)
         values = [self._complete(v) for v in values]
-        bodies = [self._body(v) for v in values]
-        if all(body is self.scene.body for body in bodies):
+        bodies = side_by_side(self._body, values, self.device)
+        alike = [k for k, body in enumerate(bodies) if body is self.scene.body]
+        if len(alike) == len(values):
             return self._alike(values, frames, controllers)
         found = np.full((len(values), frames, *self.scene.structure.shape), np.nan)
-        for k, (body, one) in enumerate(zip(bodies, values, strict=True)):  # frame 0 is under another strain in each
-            if body is not None:
-                found[k] = self._of(body, self._known_steps)._alike([one], frames, _of_runs(controllers, [k]))[0]
+        if alike:
+            found[alike] = self._alike([values[k] for k in alike], frames, _of_runs(controllers, alike))
+
+        def alone(k):  # frame 0 is under another strain in each
+            return self._of(bodies[k], self._known_steps)._alike([values[k]], frames, _of_runs(controllers, [k]))[0]
+
+        others = [k for k, body in enumerate(bodies) if body is not None and body is not self.scene.body]
+        for k, path in zip(others, side_by_side(alone, others, self.device), strict=True):
+            found[k] = path
         return found
 
     def _alike(self, values, frames, controllers) -> np.ndarray:

@@ -22,7 +22,7 @@ from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_er
 from twinbench.diagnosis.inference.search import Asked
 from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
-from twinbench.diagnosis.inference.trials import Trials, _chances, _in_order, _in_other_shapes, _likely
+from twinbench.diagnosis.inference.trials import Trials, _in_order, _in_other_shapes, _likely, chances_of
 from twinbench.physics.parameters import Parameter
 
 REGIONS, TIMES, MEMBERS = 4, 5, 10
@@ -690,7 +690,7 @@ def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
     alike = [SimpleNamespace(effect=effect, place=None, fixed={"which": float(k > 0)}) for k, _ in enumerate(scored)]
     catalogue = [SimpleNamespace(name=s.name, unit=np.array([0.1]), candidate=c) for s, c in zip(scored, alike, strict=True)]
     test = SimpleNamespace(scores=scored)
-    assert next(iter(_chances(test, catalogue, {}))) == "a" and _likely(test, catalogue, DiagnosisConfig()) == {"a": [0], "b": [2]}
+    assert next(iter(chances_of(test, catalogue, {}))) == "a" and _likely(test, catalogue, DiagnosisConfig()) == {"a": [0], "b": [2]}
     # where the first needs a thousand times what is noticeable, three deviations of ten, the other explains as much: 30 - 9 / 2 < 28
     catalogue[0].unit = np.array([100.0])
     assert _likely(test, catalogue, DiagnosisConfig()) == {"a": [1], "b": [2]}
@@ -704,7 +704,7 @@ def test_what_a_refit_corrects_it_corrects_in_all_candidates_of_its_effect():
     assert _likely(test, catalogue, DiagnosisConfig())["a"] == [1]
     effect.hand = "which"  # a little of one hand does not tell what much of the other does
     assert _likely(test, catalogue, DiagnosisConfig())["a"] == [1, 0]
-    found = _chances(test, catalogue, {0: 5.0})
+    found = chances_of(test, catalogue, {0: 5.0})
     ratio = (np.exp(5) + np.exp(3)) / 2 / np.exp(10)
     assert list(found) == ["b", "a"] and found["a"] == pytest.approx(ratio / (1 + ratio))
 

@@ -43,23 +43,36 @@ def test_the_first_item_that_fails_says_why():
         side_by_side(work, range(4), "cpu")
 
 
-def test_pieces_of_a_piece_share_its_threads():
-    # three threads for three pieces leave one for each, and for two one; a single piece has all three
-    def at_once(_):
-        together, most, lock = [0], [0], threading.Lock()
+def test_pieces_of_a_piece_take_what_places_others_have_left():
+    # never more than three at work; of three pieces two end at once, and what they leave falls to the pieces of the third
+    lock, now, most = threading.Lock(), [0], [0, 0]
 
-        def work(_):
-            with lock:
-                together[0] += 1
-                most[0] = max(most[0], together[0])
-            time.sleep(0.05)
-            with lock:
-                together[0] -= 1
+    def counted(piece):
+        with lock:
+            now[0] += 1
+            most[0], most[1] = max(most[0], now[0]), max(most[1], now[0] if piece == 2 else 0)
+        time.sleep(0.05)
+        with lock:
+            now[0] -= 1
+        return piece
 
-        side_by_side(work, range(6), "cpu")
-        return most[0]
+    def pieces(piece):
+        return side_by_side(lambda _: counted(piece), range(12 if piece == 2 else 1), "cpu")
 
-    assert side_by_side(at_once, range(3), "cpu") == [1, 1, 1] and side_by_side(at_once, range(1), "cpu") == [3]
+    assert [len(own) for own in side_by_side(pieces, range(3), "cpu")] == [1, 1, 12]
+    assert most == [3, 3] and pieces(2) == [2] * 12
+
+
+def test_a_piece_of_a_piece_that_fails_gives_its_place_back():
+    def fails(_):
+        raise ValueError("no")
+
+    def pieces(piece):
+        with pytest.raises(ValueError, match="no"):
+            side_by_side(fails, range(4), "cpu")
+        return piece
+
+    assert side_by_side(pieces, range(6), "cpu") == list(range(6))
 
 
 def test_a_kernel_is_compiled_once_on_a_cpu():
