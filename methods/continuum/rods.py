@@ -44,6 +44,9 @@ SEEN_START = 7  # frames that tell how fast markers move where more than two are
 STIFFNESSES = (0.1, 1.0, 10.0)  # times the usual one, from which searches start
 STRAND = 0.006  # m, thickness of a cable whose markers tell nothing of it
 SHARES = (0.3, 1.0)  # of the shapes that frames have in common, tried as natural shapes
+PARTS = 20  # of a rope's length, whose colours tell which end is which
+CLEARLY = 0.5  # by which they must go together better (as a correlation) from one end than from the other: of a rope of one colour, whose
+# parts differ by noise alone, a difference of 60 numbers' correlations is as large in 1 of 150
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,8 @@ class Rod(Body):
     natural  (H, 2) curvature of the hinges as the body lay when it was fitted, a share of which is natural; zeros for markers, which hang
     marks    (M,) the node that a structure point is, or -1
     rolling  of a filmed skin, as tracks tell it; None where they do not
+    hues     (PARTS, 3) RGB along a filmed rope, NaN where no track is; None without colours
+    begins   whether they told that it begins at the end at which the rope begins that it was laid as
 
     Its values, at 1 kg/m: bending_stiffness [N m^2], bending_time [s], its damping over that; torsion_ratio, stiffness against twist
     over that; drag_damping [1/s]; natural_kept, or modes of natural curvature.
@@ -74,6 +79,8 @@ class Rod(Body):
     marks: np.ndarray
     notes: tuple[str, ...] = ()
     rolling: Rolling | None = None
+    hues: np.ndarray | None = None
+    begins: bool = False
 
     # ---------------------------------------------------------------- made
 
@@ -106,14 +113,17 @@ class Rod(Body):
         chain = np.arange(segments + 1)
         strands = Strands(nodes, (chain,), np.linalg.norm(np.diff(nodes, axis=0), axis=1))
         natural, free = natural_curvature(nodes, strands.hinges, (chain,)), np.full(len(recording.structure), -1)
-        return cls(strands, radius, natural, recording.structure, free, rolling=Rolling.of(recording, resampled(axis, FINE)))
+        seen = dict(rolling=Rolling.of(recording, resampled(axis, FINE)), hues=_hues(recording, resampled(axis, FINE)))
+        return cls(strands, radius, natural, recording.structure, free, **seen)
 
     @classmethod
     def joined(cls, bodies: Sequence[Any], recordings):
-        """Of markers: the order of the first, and one set of lengths, medians over all frames; of others the shape of the first."""
+        """Of markers: the order of the first, and one set of lengths, medians over all frames; of others the shape of the first, and its
+        end first where colours tell."""
         first = bodies[0]
         if not first.is_marked:
-            return [replace(b, natural=first.natural if len(first.natural) == len(b.natural) else b.natural) for b in bodies]
+            turned = [first, *(first._begun(b.both_ways(one)) or b for b, one in zip(bodies[1:], recordings[1:], strict=True))]
+            return [replace(b, natural=first.natural if len(first.natural) == len(b.natural) else b.natural) for b in turned]
         seen = np.concatenate([_tracks(one) for one in recordings])
         first = replace(first, strands=first.strands.measured(seen))
         first = replace(first, natural=_branching(first.strands, recordings))
@@ -123,16 +133,17 @@ class Rod(Body):
         if self.is_marked or times == 1.0:
             return self
         found = self.along(recording, self.strands.nodes, self.radius, max(4, round(len(self.strands.rest) / times)))
-        return replace(found, notes=self.notes)
+        return replace(found, notes=self.notes, begins=self.begins)
 
     def anew(self, recording: Observed, told: Observed, times: float) -> Rod:
         """A filmed rope whose axis is found by the points of ``told``, some of ``recording``'s, with segments ``times`` as long."""
         axis, radius = axis_of(_cloud(told), told.spacing, 2 * self.radius)
         found = self.along(recording, axis, radius, max(4, round(len(self.strands.rest) / times)))
-        return replace(found, notes=self.notes)
+        return replace(found, notes=self.notes, begins=self.begins)
 
     def laid(self, target: Observed) -> Rod:
-        """Markers are the same ones in both; else the axis is taken from the target's points, from the end that suits its shape better."""
+        """Markers are the same ones in both; else the axis is taken from the target's points, from the end that colours tell, or else that
+        suits its shape better."""
         if self.is_marked:
             _refuse_unseen(target)
             count = int((self.marks >= 0).sum())
@@ -142,14 +153,23 @@ class Rod(Body):
             marks[:count] = np.arange(count)
             return replace(self, strands=self.strands.moved(target.points[0]), structure=target.structure, marks=marks, notes=())
         axis, radius = axis_of(_cloud(target), target.spacing, 2 * self.radius)
-        ways = [self.along(target, way, radius, len(self.strands.rest)) for way in (axis, axis[::-1])]
-        found = max(ways, key=lambda way: abs(np.vdot(self.natural @ [1, 1j], way.natural @ [1, 1j])))
+        ways = self.along(target, axis, radius, len(self.strands.rest)).both_ways(target)
+        found = self._begun(ways) or max(ways, key=lambda way: abs(np.vdot(self.natural @ [1, 1j], way.natural @ [1, 1j])))
         return replace(found, natural=self.natural)
+
+    def both_ways(self, recording: Observed) -> tuple[Rod, Rod]:
+        """It, which was filmed, and it from its other end."""
+        return self, self.along(recording, self.strands.nodes[::-1], self.radius, len(self.strands.rest))
+
+    def _begun(self, ways: Sequence[Rod]) -> Rod | None:
+        """That of two ``ways`` which begins where it begins, if colours tell."""
+        first, second = (_agreement(self.hues, way.hues) for way in ways)
+        return replace(ways[int(second > first)], begins=True) if abs(first - second) > CLEARLY else None
 
     @property
     def ways(self) -> int:
-        """Markers are told apart, ends of a filmed rope are not."""
-        return 1 if self.is_marked else 2
+        """Markers are told apart, ends of a filmed rope by their colours at most."""
+        return 1 if self.is_marked or self.begins else 2
 
     def elsewhere(self, other: Body, places: np.ndarray, way: int = 0) -> np.ndarray:
         """As far along it, from the other end in the second of two ``ways``."""
@@ -317,6 +337,7 @@ class Rod(Body):
         arrays = dict(nodes=own.nodes, rest=own.rest, chains=np.concatenate(own.chains), cuts=np.cumsum([len(c) for c in own.chains]))
         arrays |= dict(marked=np.array(own.marked), joints=own.joints)
         arrays |= {f"rolling_{name}": value for name, value in vars(self.rolling).items()} if self.rolling else {}
+        arrays |= {} if self.hues is None else dict(hues=self.hues, begins=np.array(self.begins))
         return arrays | dict(radius=np.array(self.radius), natural=self.natural, structure=self.structure, marks=self.marks)
 
     @classmethod
@@ -325,7 +346,8 @@ class Rod(Body):
         strands = Strands(arrays["nodes"], chains, arrays["rest"], int(arrays["marked"]), arrays["joints"])
         seen = {name.removeprefix("rolling_"): value for name, value in arrays.items() if name.startswith("rolling_")}
         rolling = Rolling(**seen) if seen else None
-        return cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes, rolling)
+        told = dict(rolling=rolling, hues=arrays.get("hues"), begins=bool(arrays.get("begins", False)))
+        return cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes, **told)
 
 
 def _is_marked(recording):
@@ -342,6 +364,29 @@ def _branching(strands: Strands, recordings) -> np.ndarray:
         looks = [natural_curvature(strands.moved(frame).nodes, strands.joints)[:, 0] for frame in frames]
         found[-len(strands.joints) :, 0] = np.median(looks, axis=0)
     return found
+
+
+def _hues(recording, axis) -> np.ndarray | None:
+    """(PARTS, 3) mean RGB of what is seen in frame 0 beside each part of an ``axis`` (FINE, 3) m, NaN where nothing is; None without
+    colours."""
+    if recording.colors is None:
+        return None
+    seen = recording.visible[0]
+    beside = np.linalg.norm(recording.points[0, seen, None] - axis, axis=2).argmin(1) * PARTS // len(axis)
+    found = np.full((PARTS, 3), np.nan)
+    for part in np.unique(beside):
+        found[part] = recording.colors[0, seen][beside == part].mean(0)
+    return found
+
+
+def _agreement(one: np.ndarray | None, other: np.ndarray | None) -> float:
+    """Correlation of two ropes' colours along them; 0 where they tell nothing."""
+    if one is None or other is None:
+        return 0.0
+    known = np.isfinite(one).all(1) & np.isfinite(other).all(1)
+    a, b = (own[known] - own[known].mean(0) if known.any() else own[known] for own in (one, other))
+    size = float(np.sqrt((a**2).sum() * (b**2).sum()))
+    return float((a * b).sum()) / size if size > 0 else 0.0
 
 
 def _tracks(recording):

@@ -234,6 +234,32 @@ def test_another_axis_of_a_filmed_rope_is_told_by_some_of_its_points():
     assert np.abs(body.anew(recording, some, 1.0).positions - body.positions).max() > 4e-4
 
 
+def coloured(recording, colors):
+    return replace(recording, colors=np.repeat(np.clip(colors, 0, 1)[None], len(recording.points), 0))
+
+
+def test_colours_tell_which_end_of_a_rope_is_which():
+    # a half circle looks the same from both ends. Colours are a smooth function of the angle, with noise of 0.1; filmed again elsewhere,
+    # its points in another order, it begins where the colours of its first end are, and so does one of two that are fitted jointly
+    recording, random = filmed(), np.random.default_rng(3)
+    share = np.arctan2(recording.points[0, :, 1], recording.points[0, :, 0]) / np.pi
+    smooth, mirrored = (np.stack([way, 0.5 + 0.5 * np.sin(5 * way), way**2], 1) for way in (share, 1 - share))
+    turn = Rotation.from_euler("z", 130, degrees=True)
+    body = Rod.of(coloured(recording, smooth + 0.1 * random.normal(size=smooth.shape)), body_of(recording, kind="rope"))
+    assert body.ways == 2 and np.array_equal(Rod.restored(body.arrays(), ()).hues, body.hues, equal_nan=True)
+    for colors, first in ((smooth, 0), (mirrored, -1)):
+        order = random.permutation(recording.counts[0])
+        moved = turn.apply(recording.points[0, order])[None].repeat(len(recording.points), 0)
+        there = replace(recording, points=moved, interior=turn.apply(np.array(recording.interior)))
+        there = coloured(there, colors[order] + 0.1 * random.normal(size=smooth.shape))
+        laid, alone = body.laid(there), Rod.of(there, body_of(there, kind="rope"))
+        assert laid.ways == 1 and Rod.restored(laid.arrays(), ()).ways == 1
+        for found in (laid, Rod.joined([body, alone], [recording, there])[1]):
+            assert np.linalg.norm(found.positions[0] - turn.apply(body.positions[first])) < 5e-3
+    plain = coloured(there, 0.5 + 0.1 * random.normal(size=smooth.shape))
+    assert body.laid(plain).ways == 2 and body.laid(replace(there, colors=None)).ways == 2
+
+
 TRUE = dict(bending_stiffness=0.02, bending_time=0.02, torsion_ratio=0.7, drag_damping=0.3, natural_a0=1.5)
 
 
