@@ -113,8 +113,9 @@ class Rod(Body):
         chain = np.arange(segments + 1)
         strands = Strands(nodes, (chain,), np.linalg.norm(np.diff(nodes, axis=0), axis=1))
         natural, free = natural_curvature(nodes, strands.hinges, (chain,)), np.full(len(recording.structure), -1)
-        seen = dict(rolling=Rolling.of(recording, resampled(axis, FINE)), hues=_hues(recording, resampled(axis, FINE)))
-        return cls(strands, radius, natural, recording.structure, free, **seen)
+        fine = resampled(axis, FINE)
+        rolling, hues = Rolling.of(recording, fine), _hues(recording, fine)
+        return cls(strands, radius, natural, recording.structure, free, rolling=rolling, hues=hues)
 
     @classmethod
     def joined(cls, bodies: Sequence[Any], recordings):
@@ -346,8 +347,8 @@ class Rod(Body):
         strands = Strands(arrays["nodes"], chains, arrays["rest"], int(arrays["marked"]), arrays["joints"])
         seen = {name.removeprefix("rolling_"): value for name, value in arrays.items() if name.startswith("rolling_")}
         rolling = Rolling(**seen) if seen else None
-        told = dict(rolling=rolling, hues=arrays.get("hues"), begins=bool(arrays.get("begins", False)))
-        return cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes, **told)
+        own = cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes, rolling)
+        return replace(own, hues=arrays.get("hues"), begins=bool(arrays.get("begins", False)))
 
 
 def _is_marked(recording):
