@@ -22,6 +22,8 @@ from .velocity import Launch, Lead
 
 __all__ = ["Body", "bodies_of", "class_of"]
 
+ROUNDING = 1e-6  # m
+
 
 class Body(ABC):
     """A body in frame 0 of a recording, cut into nodes. Lengths in m, in the room; all numbers of its material are values of a fit.
@@ -75,7 +77,7 @@ class Body(ABC):
     def elsewhere(self, other: Body, places: np.ndarray, way: int = 0) -> np.ndarray:
         """(P, 3) m, where ``places`` (P, 3) on the body in frame 0 are on it in another recording's, in which it was laid as ``other``."""
         nodes, there = self.positions, other.positions
-        if nodes.shape != there.shape:
+        if nodes.shape != there.shape or not _is_rigid(nodes, there):  # it was told anew, in other cells
             nodes, there = self.structure, align(self.structure, other.structure)
         rotation, shift = rigid_transform(nodes, there)
         return np.asarray(places) @ rotation.T + shift
@@ -209,6 +211,12 @@ class Body(ABC):
     @abstractmethod
     def restored(cls, arrays: dict[str, np.ndarray], notes: tuple[str, ...]) -> Body:
         """What ``arrays`` was of."""
+
+
+def _is_rigid(nodes, there) -> bool:
+    """Whether ``there`` (N, 3) m are ``nodes``, which were moved as one: others are elsewhere by far more than rounding."""
+    rotation, shift = rigid_transform(nodes, there)
+    return bool(np.abs(nodes @ rotation.T + shift - there).max() < ROUNDING)
 
 
 def class_of(kind: str, elements: str = "own") -> type[Body]:

@@ -46,7 +46,7 @@ STRAND = 0.006  # m, thickness of a cable whose markers tell nothing of it
 SHARES = (0.3, 1.0)  # of the shapes that frames have in common, tried as natural shapes
 PARTS = 20  # of a rope's length, whose colours tell which end is which
 CLEARLY = 0.5  # by which they must go together better (as a correlation) from one end than from the other: of a rope of one colour, whose
-# parts differ by noise alone, a difference of 60 numbers' correlations is as large in 1 of 150
+# parts differ by noise alone, a difference of 60 numbers' correlations is as large in 1 of 130
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,6 +58,25 @@ def shapes():
     return {"lies": still, "hangs": [noisy(rolled(flat, 9.0))], "is folded": [noisy(folded(flat)), *opened]}
 
 
+def test_a_place_on_a_sheet_is_there_elsewhere():
+    # a sheet that is narrower at one end looks like itself in one way alone; filmed again, turned by 40 degrees, in another order and with
+    # other noise it has as many nodes, and they are others: a node's place here is no place of the same number there
+    flat = lattice()
+    flat[:, 1] *= 1 - 0.6 * flat[:, 0] / SIZE[0]
+    turn, seen = Rotation.from_euler("z", 40, degrees=True), np.ones((1, len(flat)), bool)
+
+    def lying(points):
+        return Observed(name="cloth", points=points[None], visible=seen, motion_valid=seen, controllers=np.zeros((1, 0, 3)))
+
+    points = np.column_stack([flat, 0 * flat[:, 0]])
+    order = np.random.default_rng(1).permutation(len(flat))
+    body = Cloth.drawn(lying(noisy(points)), noisy(points)[None], 60)
+    other = body.laid(lying(turn.apply(noisy(points, 2))[order] + 0.05))
+    assert body.positions.shape == other.positions.shape
+    places = points[[0, 40, -1]]
+    assert np.linalg.norm(body.elsewhere(other, places) - turn.apply(places) - 0.05, axis=1).max() < SPACING / 2
+
+
 @pytest.mark.parametrize("name", shapes())
 def test_a_sheet_is_laid_out_flat(name):
     # each point where it belongs to within a third of the spacing; ways from neighbour to neighbour are longer than the straight ones by
