@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -22,7 +23,8 @@ from .velocity import Launch, Lead
 
 __all__ = ["Body", "bodies_of", "class_of"]
 
-ROUNDING = 1e-6  # m
+ROUNDING = 1e-6  # m, that nodes which were moved as one are apart by; others are by far more
+KEPT = 64  # motions of a body to where it lies elsewhere: every run that has an effect at a place asks
 
 
 class Body(ABC):
@@ -76,10 +78,7 @@ class Body(ABC):
 
     def elsewhere(self, other: Body, places: np.ndarray, way: int = 0) -> np.ndarray:
         """(P, 3) m, where ``places`` (P, 3) on the body in frame 0 are on it in another recording's, in which it was laid as ``other``."""
-        nodes, there = self.positions, other.positions
-        if nodes.shape != there.shape or not _is_rigid(nodes, there):  # it was told anew, in other cells
-            nodes, there = self.structure, align(self.structure, other.structure)
-        rotation, shift = rigid_transform(nodes, there)
+        rotation, shift = _motion(self, other)
         return np.asarray(places) @ rotation.T + shift
 
     # ---------------------------------------------------------------- simulated
@@ -213,10 +212,16 @@ class Body(ABC):
         """What ``arrays`` was of."""
 
 
-def _is_rigid(nodes, there) -> bool:
-    """Whether ``there`` (N, 3) m are ``nodes``, which were moved as one: others are elsewhere by far more than rounding."""
-    rotation, shift = rigid_transform(nodes, there)
-    return bool(np.abs(nodes @ rotation.T + shift - there).max() < ROUNDING)
+@lru_cache(maxsize=KEPT)
+def _motion(body: Body, other: Body) -> tuple[np.ndarray, np.ndarray]:
+    """((3, 3) rotation, (3,) shift [m]) from a body to itself in another recording: that of its nodes where they were moved as one, else
+    of its skin, since it was told anew then, in other cells."""
+    nodes, there = body.positions, other.positions
+    if nodes.shape == there.shape:
+        rotation, shift = rigid_transform(nodes, there)
+        if np.abs(nodes @ rotation.T + shift - there).max() < ROUNDING:
+            return rotation, shift
+    return rigid_transform(body.structure, align(body.structure, other.structure))
 
 
 def class_of(kind: str, elements: str = "own") -> type[Body]:
