@@ -123,8 +123,12 @@ class Rod(Body):
         end first where colours tell."""
         first = bodies[0]
         if not first.is_marked:
-            turned = [first, *(first._begun(b.both_ways(one)) or b for b, one in zip(bodies[1:], recordings[1:], strict=True))]
-            return [replace(b, natural=first.natural if len(first.natural) == len(b.natural) else b.natural) for b in turned]
+            found = [first]
+            for body, one in zip(bodies[1:], recordings[1:], strict=True):
+                back = first._runs_back(body)
+                body = replace(body.reversed(one) if back else body, begins=back is not None)
+                found.append(replace(body, natural=first.natural if len(first.natural) == len(body.natural) else body.natural))
+            return found
         seen = np.concatenate([_tracks(one) for one in recordings])
         first = replace(first, strands=first.strands.measured(seen))
         first = replace(first, natural=_branching(first.strands, recordings))
@@ -140,7 +144,7 @@ class Rod(Body):
         """A filmed rope whose axis is found by the points of ``told``, some of ``recording``'s, with segments ``times`` as long."""
         axis, radius = axis_of(_cloud(told), told.spacing, 2 * self.radius)
         found = self.along(recording, axis, radius, max(4, round(len(self.strands.rest) / times)))
-        return replace(found, notes=self.notes, begins=self.begins)
+        return replace(found, notes=self.notes)
 
     def laid(self, target: Observed) -> Rod:
         """Markers are the same ones in both; else the axis is taken from the target's points, from the end that colours tell, or else that
@@ -154,18 +158,24 @@ class Rod(Body):
             marks[:count] = np.arange(count)
             return replace(self, strands=self.strands.moved(target.points[0]), structure=target.structure, marks=marks, notes=())
         axis, radius = axis_of(_cloud(target), target.spacing, 2 * self.radius)
-        ways = self.along(target, axis, radius, len(self.strands.rest)).both_ways(target)
-        found = self._begun(ways) or max(ways, key=lambda way: abs(np.vdot(self.natural @ [1, 1j], way.natural @ [1, 1j])))
-        return replace(found, natural=self.natural)
+        found = self.along(target, axis, radius, len(self.strands.rest))
+        back = self._runs_back(found)
+        if back is None:
+            found = max(found, found.reversed(target), key=lambda way: abs(np.vdot(self.natural @ [1, 1j], way.natural @ [1, 1j])))
+        elif back:
+            found = found.reversed(target)
+        return replace(found, natural=self.natural, begins=back is not None)
 
-    def both_ways(self, recording: Observed) -> tuple[Rod, Rod]:
-        """It, which was filmed, and it from its other end."""
-        return self, self.along(recording, self.strands.nodes[::-1], self.radius, len(self.strands.rest))
+    def reversed(self, recording: Observed) -> Rod:
+        """The same, which was filmed, from its other end."""
+        return self.along(recording, self.strands.nodes[::-1], self.radius, len(self.strands.rest))
 
-    def _begun(self, ways: Sequence[Rod]) -> Rod | None:
-        """That of two ``ways`` which begins where it begins, if colours tell."""
-        first, second = (_agreement(self.hues, way.hues) for way in ways)
-        return replace(ways[int(second > first)], begins=True) if abs(first - second) > CLEARLY else None
+    def _runs_back(self, other: Rod) -> bool | None:
+        """Whether it begins at the other end than in another recording, where it is ``other``; None where colours do not tell."""
+        if self.hues is None or other.hues is None:
+            return None
+        ahead, back = (_agreement(self.hues, hues) for hues in (other.hues, other.hues[::-1]))
+        return back > ahead if abs(ahead - back) > CLEARLY else None
 
     @property
     def ways(self) -> int:
@@ -347,8 +357,8 @@ class Rod(Body):
         strands = Strands(arrays["nodes"], chains, arrays["rest"], int(arrays["marked"]), arrays["joints"])
         seen = {name.removeprefix("rolling_"): value for name, value in arrays.items() if name.startswith("rolling_")}
         rolling = Rolling(**seen) if seen else None
-        own = cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes, rolling)
-        return replace(own, hues=arrays.get("hues"), begins=bool(arrays.get("begins", False)))
+        told = rolling, arrays.get("hues"), bool(arrays.get("begins", False))
+        return cls(strands, float(arrays["radius"]), arrays["natural"], arrays["structure"], arrays["marks"], notes, *told)
 
 
 def _is_marked(recording):
@@ -380,10 +390,8 @@ def _hues(recording, axis) -> np.ndarray | None:
     return found
 
 
-def _agreement(one: np.ndarray | None, other: np.ndarray | None) -> float:
-    """Correlation of two ropes' colours along them; 0 where they tell nothing."""
-    if one is None or other is None:
-        return 0.0
+def _agreement(one: np.ndarray, other: np.ndarray) -> float:
+    """Correlation of colours (PARTS, 3) along two ropes; 0 where they tell nothing."""
     known = np.isfinite(one).all(1) & np.isfinite(other).all(1)
     a, b = (own[known] - own[known].mean(0) if known.any() else own[known] for own in (one, other))
     size = float(np.sqrt((a**2).sum() * (b**2).sum()))
