@@ -8,18 +8,31 @@ P g instead, too slow by as much as z is large: ``results/continuum.md``.) Two e
 that came out of damping with its sign turned would make the elastic force push outwards.
 """
 
+from functools import cache
+
 import numpy as np
 
 __all__ = ["EASE", "ease", "reach"]
 
-EASE = 0.01  # nu of Alexiades et al.: every mode shrinks by this in a round, so that errors in the largest eigenvalue are forgiven
+EASE = 0.01  # nu of Alexiades et al., at most: every mode shrinks by this in a round, so that errors in the largest eigenvalue are forgiven
+SHRUNK = 0.5  # nu times the square of the rounds of a pass, at most: as much a pass, so that its reach grows with their square
 
 
+@cache
 def _steps(rounds):
-    """(rounds,) steps of one pass, in units of the longest single one; long and short by turns, so that rounding errors stay small."""
-    k = np.arange(1, rounds + 1)
-    steps = 1 / ((EASE - 1) * np.cos((2 * k - 1) / rounds * np.pi / 2) + 1 + EASE)
-    return steps[np.argsort(np.minimum(k, rounds + 1 - k) * 2 + (k * 2 > rounds), kind="stable")]
+    """(rounds,) steps of one pass, in units of the longest single one.
+
+    The longest comes first, and then always the one whose rate is farthest from all before it, as a product (Leja's points): no stretch of
+    rounds then makes an error larger than the longest step does alone.
+    """
+    k, nu = np.arange(1, rounds + 1), min(EASE, SHRUNK / rounds**2)
+    rates = (nu - 1) * np.cos((2 * k - 1) / rounds * np.pi / 2) + 1 + nu
+    left = list(rates)
+    order = [left.pop(int(np.argmin(left)))]
+    while left:
+        apart = np.log(np.abs(np.subtract.outer(left, order))).sum(1)
+        order.append(left.pop(int(np.argmax(apart))))
+    return 1 / np.array(order)
 
 
 def ease(rounds: int) -> np.ndarray:

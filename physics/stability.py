@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, eigsh
@@ -39,8 +40,12 @@ MARGIN = 1.1
 REMEMBERING, RESISTING = (SheetFlowTerm.stage, SheetBranchTerm.stage), (MembraneTerm.stage, PlateTerm.stage)
 DAMPING = (ViscousMembraneTerm.stage, ViscousPlateTerm.stage)
 INSTANT = 1e-9  # s, in which nothing relaxes
-MOST_ROUNDS = 20  # of damping: more would let rounding errors of float32 grow
+STRAINS = np.array([np.outer(a, b) + np.outer(b, a) for a, b in combinations_with_replacement(np.eye(3), 2)])  # (6, 3, 3)
+STRAINS /= np.sqrt((STRAINS**2).sum((1, 2)))[:, None, None]
+MOST_ROUNDS = 40  # of damping, in which rounding errors of float32 grow 360 times
 EASED_LIMIT = 3.0  # of lam dt^2, for 4 without rounds: 3.3 in two of them and more, and 4 - 2 z in one that takes z = 1/2
+EASED_STEP = 1e-3  # s, at most where damping decides: contact and hands are followed in half of it (``results/continuum.md``)
+STIFFER = 4.0  # a solid's stiffness over its damping, over that at rest: it is as much as sixteen times that in steps of half the limit
 STRETCHED = 2.0  # a sheet's damping over that at the start: as the square of its stretch, or of a mesh that is crushed
 
 
@@ -72,6 +77,10 @@ def stable_step(system: System) -> float:
     of a substep has the determinant P and the trace 1 + P - lam dt^2 (1 - P) / z, so that lam dt^2 must be below 2 z (1 + P) / (1 - P):
     3.3 and more in two rounds or more, 4 - 2 z in one. It is kept below 3 there, of whatever is damped.
 
+    It is above 2 z as well, since P is positive. A solid's cells that are at most k times as stiff as they are damped have lam <= k mu in
+    every mode, so that they are stable in any substep below 2 / k, however stiff they are: what is damped out of hand creeps by k a second.
+    So substeps may be as long as k, far above what it is at rest, and all but the cells allow, and ``EASED_STEP``.
+
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.
 
@@ -92,20 +101,22 @@ def stable_step(system: System) -> float:
     inside = np.flatnonzero(free)
     if not len(inside):
         return math.inf
-    lam = float((stiffness[inside] / system.masses[inside]).max())
-    lam += _fastest(system, free, "solid") + _sheet_fastest(system, free, damping=False)
+    lam = float((stiffness[inside] / system.masses[inside]).max()) + _sheet_fastest(system, free, damping=False)
     mu = float((damping[inside] / system.masses[inside]).max())
     for term in system.terms:
         if isinstance(term, HardTerm):
             hard = term.hardness(**term.values)
             lam, mu = lam + hard[0], mu + hard[1]
 
-    if any(t.stage in EASED and any(t.values.values()) for t in system.terms):
-        lam *= 4 / EASED_LIMIT
+    share = 4 / EASED_LIMIT if any(t.stage in EASED and any(t.values.values()) for t in system.terms) else 1.0
+    cells, outlasting = _fastest(system, free, "solid"), _outlasting(system)
 
     def limit(times):
-        bound = mu + math.sqrt(mu * mu + 4 * lam * times)
-        return 4 / bound if bound > 0 else math.inf
+        def longest(lam, mu):
+            bound = mu + math.sqrt(mu * mu + 4 * share * lam * times)
+            return 4 / bound if bound > 0 else math.inf
+
+        return max(longest(lam + cells, mu), min(longest(lam, mu + 2 * STIFFER * outlasting), EASED_STEP))
 
     branch = system.values.get("branch_stiffness", 0.0)
     if not branch:
@@ -146,6 +157,31 @@ def _fastest(system, free, stage):
         return (ahead - behind) / (2 * small)
 
     return _largest(pull, system.masses, free)
+
+
+def _outlasting(system):
+    """Largest ratio [1/s] of stiffness to damping of a solid's material, over all points and strains, in its rest shape; inf where some
+    strain is not damped. What remembers is as stiff as it is at once.
+    """
+    terms = [t for t in system.terms if t.stage in CELLS]
+    damped = [t for t in terms if t.stage == "viscous"]
+    if not damped or system.grid is None:
+        return math.inf
+    home, at = point_sites(system)
+    fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in terms), 3, 3))
+    elastic, small = [t for t in terms if t.stage != "viscous"], 1e-6
+
+    def stress(strain):
+        return point_twin(elastic, np.eye(3) + strain, strain / INSTANT, home, at, fresh, INSTANT)[0]
+
+    strains = [np.broadcast_to(one, (*home.shape[:2], 3, 3)) for one in STRAINS]
+    stiffness = [(stress(small * one) - stress(-small * one)) / (2 * small) for one in strains]
+    damping = [sum(t.twin(one, **t.values) for t in damped) for one in strains]
+    stiff, slow = (np.einsum("bij,a...ij->...ab", STRAINS, np.array(told)) for told in (stiffness, damping))
+    if not np.linalg.eigvalsh(slow).min() > 0:
+        return math.inf
+    half = np.linalg.inv(np.linalg.cholesky(slow))
+    return max(0.0, float(np.linalg.eigvalsh(half @ ((stiff + np.swapaxes(stiff, -1, -2)) / 2) @ np.swapaxes(half, -1, -2)).max()))
 
 
 def _largest(pull, masses, free):

@@ -438,10 +438,10 @@ def test_a_batch_is_its_systems():
         assert torch.equal(Batch([one], fps=30, substeps=100).rollout().positions[0], both)
 
 
-@pytest.mark.parametrize("time", [0.002, 0.005, 0.05])
+@pytest.mark.parametrize("time", [0.002, 0.005, 0.3])
 def test_a_sheet_that_is_stretched_is_still_damped_in_its_rounds(time):
     # resultants are those of the rest shape, so that a sheet at a stretch of 1.4 resists rates twice as hard: rounds are chosen for that.
-    # A damping time of 50 ms would take more than twenty rounds in the steps that are stable: "auto" takes more steps
+    # A damping time of 0.3 s would take more than forty rounds in the steps that are stable: "auto" takes more steps
     points, triangles = lattice((0.08, 0.04), 0.01)
     right = points[:, 0] > 0.08 - 1e-9
     held = np.flatnonzero((points[:, 0] < 1e-9) | right)
@@ -451,7 +451,7 @@ def test_a_sheet_that_is_stretched_is_still_damped_in_its_rounds(time):
     system = cut(flat(points), triangles, *given, Gravity({"gravity_z": -G}), held=held, path=path)
     batch = Batch([system], fps=30)
     found = batch.rollout().positions[0][-1].numpy()
-    assert (batch.substeps[0] > stable_substeps([system], 1 / 30)) == (time == 0.05) and batch.rounds[0] > 2
+    assert (batch.substeps[0] > stable_substeps([system], 1 / 30)) == (time == 0.3) and batch.rounds[0] > 2
     assert found[~right & (points[:, 0] > 0.06)][:, 0].mean() == pytest.approx(1.4 * 0.07, rel=0.02) and np.abs(found[:, 2]).max() < 0.02
 
 
