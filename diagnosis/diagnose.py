@@ -10,7 +10,7 @@ from .asking import ask
 from .config import MEMBERS, of_preset
 from .outcome import Outcome
 from .springs import Diagnosis, ask_springs
-from .suitable import has_continuum
+from .suitable import has_continuum, unseen_below
 from .verdict import Calibration
 
 __all__ = ["TWINS", "diagnose"]
@@ -37,9 +37,10 @@ def diagnose(
     "springs" is a net of springs. That one is fitted on the scenario's training frames, or where ``fitted_on`` names other recordings of
     the object on all of theirs; it is then taken as adequate for them, and what this recording adds is what is asked. "auto" is a continuum
     where the body is tracked all over and not seen below the told ground, or a cable with markers that stands alone, or recordings are
-    several. Beside ``fitted_on`` a continuum of markers needs at least eight (``inference.peers``). Held-out frames and ``transfer``
-    recordings are simulated and never fitted. ``against``, for a continuum: sound recordings of the same command; of markers that motors
-    move, which no twin has, joints are compared in the place of a twin (``joints``).
+    several; of several of which one lies below the told ground and shows no body there, that one is asked alone. Beside ``fitted_on`` a
+    continuum of markers needs at least eight (``inference.peers``). Held-out frames and ``transfer`` recordings are simulated and never
+    fitted. ``against``, for a continuum: sound recordings of the same command; of markers that motors move, which no twin has, joints are
+    compared in the place of a twin (``joints``).
     ``preset`` is quick or full, ``weights`` another calibration of the decision on springs than the one that ships.
     Raises ValueError for an unknown twin or preset, what the twin has no use for, or a recording that is too short.
     """
@@ -47,6 +48,9 @@ def diagnose(
     if twin not in TWINS:
         raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
     config = of_preset(MEMBERS, preset)
+    if twin == "auto" and (below := unseen_below(recordings)):
+        progress(f"{below.name} lies below the told ground, where no body is seen: asking it alone")
+        recordings = [below]
     if twin == "auto":
         several = len(recordings) != 1 or bool(against)
         twin = "continuum" if several or has_continuum(recordings[0], fitted_on) else "springs"

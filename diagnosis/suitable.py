@@ -15,7 +15,7 @@ from .inference.blocks import Blocks, is_marked
 from .inference.controls import Controls
 from .inference.peers import FEWEST, are_members
 
-__all__ = ["has_continuum", "suitable"]
+__all__ = ["has_continuum", "suitable", "unseen_below"]
 
 FRAMES = 12  # train frames: eight bins of fewer are single frames, whose noise is no mean's
 POINTS = 20  # tracked points that are seen in frame 0: two regions of ten
@@ -42,6 +42,19 @@ def has_continuum(one: Scenario, fitted_on: Sequence[Scenario] = ()) -> bool:
     if sunk(one.observed()) > 0 or (marked and fitted_on):
         return False
     return Controls.of(kind, config, marked=marked) is not None
+
+
+def unseen_below(recordings: Sequence[Scenario]) -> Scenario | None:
+    """Of several recordings the first in which no body is seen and that lies below the told ground, or None: nothing can be fitted to it,
+    and what is wrong shows in its frame 0.
+    """
+    for one in recordings if len(recordings) > 1 else ():
+        try:
+            _body(one)
+        except ValueError:
+            if sunk(one.observed()) > 0:
+                return one
+    return None
 
 
 def suitable(

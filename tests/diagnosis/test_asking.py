@@ -18,7 +18,7 @@ from twinbench.diagnosis.inference import phases
 from twinbench.diagnosis.inference.wander import Wander
 from twinbench.diagnosis.outcome import _why_open, chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
-from twinbench.diagnosis.suitable import has_continuum, suitable
+from twinbench.diagnosis.suitable import has_continuum, suitable, unseen_below
 from twinbench.methods.continuum import Continuum
 from twinbench.methods.continuum.body import body_of
 from twinbench.methods.continuum.config import Config
@@ -103,6 +103,29 @@ def test_what_lies_below_the_ground_and_shows_no_body_says_so(monkeypatch):
         suitable([one])
     with pytest.raises(ValueError, match="no line; second lies below the told ground in frame 0: ask it alone"):
         suitable([below])
+
+
+def test_of_several_the_one_that_lies_below_the_ground_and_shows_no_body_is_asked_alone(monkeypatch):
+    from twinbench.methods.continuum.bodies import bodies_of
+
+    one = block("first")
+    up = -one.gravity / np.linalg.norm(one.gravity)
+    below = replace(one, name="second", points=one.points + 0.001, ground=Plane(up, float((one.points[0] @ up).max() + 0.02)))
+    said, asked = [], []
+
+    def seen(recordings):
+        if recordings[0].name == "second":
+            raise ValueError("no line")
+        return bodies_of(recordings)
+
+    monkeypatch.setattr("twinbench.diagnosis.suitable.bodies_of", seen)
+    monkeypatch.setattr("twinbench.diagnosis.diagnose.ask_springs", lambda case, **options: asked.append((case.name, options["transfer"])))
+    moved = replace(one, name="third", points=one.points + 0.002)
+    diagnose([one, below], transfer=[moved], progress=said.append)
+    assert asked == [("second", [moved])] and "second lies below the told ground" in said[0]
+    with pytest.raises(ValueError, match="no line; second lies below"):
+        diagnose([one, below], twin="continuum")
+    assert unseen_below([below]) is None and unseen_below([one, moved]) is None  # one alone is asked by springs anyway
 
 
 def test_options_that_the_twin_has_no_use_for_are_refused():

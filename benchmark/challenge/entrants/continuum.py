@@ -17,7 +17,7 @@ class Continuum(Entrant):
 
         if not given.of_continuum:
             return plain(given.diagnosis.result)
-        found = diagnose([given.fit, *given.more], twin="continuum", transfer=[given.transfer], preset=given.preset, device=given.device)
+        found = diagnose([given.fit, *given.more], transfer=[given.transfer], preset=given.preset, device=given.device)
         return plain(found.result)
 
 
