@@ -48,7 +48,7 @@ def diagnose(
     if twin not in TWINS:
         raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
     config = of_preset(MEMBERS, preset)
-    if twin == "auto" and (below := unseen_below(recordings)):
+    if twin == "auto" and not against and (below := unseen_below(recordings)):
         progress(f"{below.name} lies below the told ground, where no body is seen: asking it alone")
         recordings = [below]
     if twin == "auto":

@@ -49,10 +49,10 @@ def unseen_below(recordings: Sequence[Scenario]) -> Scenario | None:
     and what is wrong shows in its frame 0.
     """
     for one in recordings if len(recordings) > 1 else ():
-        try:
-            _body(one)
-        except ValueError:
-            if sunk(one.observed()) > 0:
+        if sunk(one.observed()) > 0:
+            try:
+                _body(one)
+            except ValueError:
                 return one
     return None
 
