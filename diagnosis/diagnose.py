@@ -48,10 +48,10 @@ def diagnose(
     if twin not in TWINS:
         raise ValueError(f"unknown twin {twin!r}; known: {', '.join(TWINS)}")
     config = of_preset(MEMBERS, preset)
-    if twin == "auto" and not against and (below := unseen_below(recordings)):
-        progress(f"{below.name} lies below the told ground, where no body is seen: asking it alone")
-        recordings = [below]
     if twin == "auto":
+        if not against and (below := unseen_below(recordings)):
+            progress(f"{below.name} lies below the told ground, where no body is seen: asking it alone")
+            recordings = [below]
         several = len(recordings) != 1 or bool(against)
         twin = "continuum" if several or has_continuum(recordings[0], fitted_on) else "springs"
     options: dict[str, Any] = dict(transfer=transfer, fitted_on=fitted_on, device=device, progress=progress)

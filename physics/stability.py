@@ -79,7 +79,7 @@ def stable_step(system: System) -> float:
 
     It is above 2 z as well, since P is positive. A solid's cells that are at most k times as stiff as they are damped have lam <= k mu in
     every mode, so that they are stable in any substep below 2 / k, however stiff they are: what is damped out of hand creeps by k a second.
-    So substeps may be as long as k, far above what it is at rest, and all but the cells allow, and ``EASED_STEP``.
+    So substeps may also be as long as ``STIFFER`` times k, all but the cells, and ``EASED_STEP`` allow.
 
     Springs at material points, by which they touch the ground or are held, add what their terms declare as ``hardness``: points share out
     the nodes' masses.
@@ -129,23 +129,15 @@ def _fastest(system, free, stage):
     """Largest eigenvalue [1/s^2 or 1/s] of the free nodes' stiffness or damping over mass, by the cells' terms of a stage ("solid" with all
     that alters it, or "viscous"), in the shape in which the system starts. What remembers is as stiff as it is at once.
     """
-    terms = [t for t in system.terms if (t.stage in CELLS) and (t.stage == "viscous") == (stage == "viscous")]
-    if not terms or system.grid is None:
+    if system.grid is None or not any((t.stage in CELLS) and (t.stage == "viscous") == (stage == "viscous") for t in system.terms):
         return 0.0
     x, free = system.positions, free[: system.particle_count]
     mu, lame = (
         sum(m) for m in zip((0.0, 0.0), *(t.twin_moduli(**t.values) for t in system.terms if isinstance(t, SolidTerm)), strict=True)
     )
     lateral = lame / max(lame + 2 * mu, 1e-30)
-    home, at = point_sites(system)
-    fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in terms), 3, 3))
     step = 1e-6 * system.grid.size.min()
-
-    def law(deformed, rate):
-        return point_twin(terms, deformed, rate, home, at, fresh, INSTANT)[0]
-
-    def viscous(rate):
-        return sum(t.twin(rate, **t.values) for t in terms)
+    law, viscous = _laws(system)
 
     def pull(way):
         if stage == "viscous":
@@ -159,25 +151,38 @@ def _fastest(system, free, stage):
     return _largest(pull, system.masses, free)
 
 
+def _laws(system):
+    """(stress [Pa] of a solid's deformations and their rates, both at all its points (K, 8, 3, 3), of all that remembers at once; that of
+    rates of strain by what is viscous)."""
+    terms = [t for t in system.terms if t.stage in CELLS]
+    damped = [t for t in terms if t.stage == "viscous"]
+    elastic = [t for t in terms if t.stage != "viscous"]
+    home, at = point_sites(system)
+    fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in elastic), 3, 3))
+
+    def law(deformed, rate):
+        return point_twin(elastic, deformed, rate, home, at, fresh, INSTANT)[0]
+
+    def viscous(rate):
+        return sum(t.twin(rate, **t.values) for t in damped)
+
+    return law, viscous
+
+
 def _outlasting(system):
     """Largest ratio [1/s] of stiffness to damping of a solid's material, over all points and strains, in its rest shape; inf where some
     strain is not damped. What remembers is as stiff as it is at once.
     """
-    terms = [t for t in system.terms if t.stage in CELLS]
-    damped = [t for t in terms if t.stage == "viscous"]
-    if not damped or system.grid is None:
+    if system.grid is None or not any(t.stage == "viscous" for t in system.terms):
         return math.inf
-    home, at = point_sites(system)
-    fresh = np.zeros((*home.shape[:2], sum(t.stage in ("flow", "branch") for t in terms), 3, 3))
-    elastic, small = [t for t in terms if t.stage != "viscous"], 1e-6
+    law, viscous = _laws(system)
+    small, strains = 1e-6, [np.broadcast_to(one, (*system.grid.points.shape, 3)) for one in STRAINS]
 
     def stress(strain):
-        return point_twin(elastic, np.eye(3) + strain, strain / INSTANT, home, at, fresh, INSTANT)[0]
+        return law(np.eye(3) + strain, strain / INSTANT)
 
-    strains = [np.broadcast_to(one, (*home.shape[:2], 3, 3)) for one in STRAINS]
     stiffness = [(stress(small * one) - stress(-small * one)) / (2 * small) for one in strains]
-    damping = [sum(t.twin(one, **t.values) for t in damped) for one in strains]
-    stiff, slow = (np.einsum("bij,a...ij->...ab", STRAINS, np.array(told)) for told in (stiffness, damping))
+    stiff, slow = (np.einsum("bij,a...ij->...ab", STRAINS, np.array(told)) for told in (stiffness, [viscous(one) for one in strains]))
     if not np.linalg.eigvalsh(slow).min() > 0:
         return math.inf
     half = np.linalg.inv(np.linalg.cholesky(slow))

@@ -505,7 +505,7 @@ def test_what_is_damped_is_stable_in_substeps_far_beyond_its_elasticity():
 
 
 def test_the_least_damped_strain_decides():
-    # stiff along a fibre that nothing damps: as many times stiffer as its law says; no damping at all: elasticity decides
+    # k is that of the strain whose stiffness is largest beside its damping; without damping, or with next to none, elasticity decides
     from twinbench.physics.stability import _outlasting
 
     plain = solid(damping=0.01)
