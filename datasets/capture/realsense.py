@@ -45,11 +45,12 @@ def _camera(rs, file):
     pipeline, config = rs.pipeline(), rs.config()
     try:
         rs.config.enable_device_from_file(config, str(file), repeat_playback=False)
+        # before it starts: what is played by the clock until then is lost where this thread has to wait for its turn
+        config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback().set_real_time(False)
         profile = pipeline.start(config)
     except RuntimeError as error:
         raise ValueError(f"{file}: cannot be opened as a RealSense recording ({error})") from None
     try:
-        profile.get_device().as_playback().set_real_time(False)
         align = _alignment(rs, file, profile)
         stamps, spool, unit = [], Spooled(), math.nan
         while True:

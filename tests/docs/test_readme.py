@@ -146,6 +146,8 @@ def test_links_lead_somewhere(page):
             assert to.name in ("python.md", "commands.md", "found.md")  # made with the site, which checks its links
             continue
         assert to.exists(), target
+        hidden = subprocess.run(["git", "-C", ROOT, "check-ignore", "-q", to.resolve()]).returncode == 0  # from a clone it would be missing
+        assert not hidden, target
         if anchor:
             headings = re.findall(r"^#+ (.*)$", to.read_text(encoding="utf-8"), re.M)
             assert anchor in {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}, target
