@@ -62,6 +62,8 @@ class DiagnosisConfig:
                 the first does
     clearly     nats by which an effect must be likelier than that nothing is missing to be named: 24 effects, one of which acts in one
                 recording of 33, are at even odds then (ln 24 x 33 = 6.7)
+    listed      probability that what is missing is one of the effects that are asked, before anything is tried: nobody knows; of the open
+                sets two to four in five are. Chosen by looking at one of them (results/inference.md, "Probabilities of names")
     roaming     standard deviation of where a hand that is not listed may be, from where it held the body in frame 0, in each coordinate
                 and bin [mm]: an arm's length
     planned     motions, at most, that members run through where a recording leaves something open, each at twice the cost of the members
@@ -100,6 +102,7 @@ class DiagnosisConfig:
     runs: int = 300
     parallel: float = 0.95
     clearly: float = 6.7
+    listed: float = 0.8
     roaming: float = 500.0
     planned: int = 2
     ridges: tuple[float, ...] = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
@@ -115,6 +118,8 @@ class DiagnosisConfig:
             raise ValueError(f"members must be at least 4, got {self.members}: fewer tell no variance")
         if not 0 < self.level < 1:
             raise ValueError(f"level must lie in (0, 1), got {self.level}")
+        if not 0 < self.listed < 1:
+            raise ValueError(f"listed must lie in (0, 1), got {self.listed}")
 
     def cells_of(self, body) -> float:
         """``cells`` of a body, of its kind's where this says none."""

@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from .page.document import plain
 from .page.words import effect_name
 from .report import write_report
 
-__all__ = ["SCHEMA", "Outcome", "arrays_of", "chance_of_sound", "curves_of", "floor_of", "recordings_of", "verdict_of"]
+__all__ = ["SCHEMA", "Outcome", "arrays_of", "chance_of_listed", "chance_of_sound", "curves_of", "floor_of", "recordings_of", "verdict_of"]
 
 DRIFT = "track_drift"
 BELOW = {"ground_pose": 0.77, "camera_pose": 0.23}  # of a body below the told ground: e^1.2 as often the ground as all cameras alike
@@ -67,7 +68,7 @@ class Outcome:
             "verdict": verdict,
             "effect": names[0] if names else None,
             "alternatives": list(names[1:]),
-            "probabilities": _probabilities(answer, verdict, lost),
+            "probabilities": _probabilities(answer, lost, config),
             "why": _why_open(answer, verdict, config),
             "test": _test(answer, found.evidence, config),
             "where": _where(first, forward.simulators[0].scene) if first else _where_lost(here, parts[0][0]),
@@ -204,14 +205,36 @@ def _why_open(answer: Answer, verdict: str, config: DiagnosisConfig) -> str | No
 
 
 def chance_of_sound(p: float) -> float:
-    """The least probability that a p-value leaves a sound twin, at even odds before: -e p ln p against one (Sellke et al. 2001)."""
-    if p >= np.exp(-1):
-        return 0.5
-    odds = -np.e * max(p, 1e-12) * np.log(max(p, 1e-12))
-    return float(odds / (1 + odds))
+    """The least probability that a p-value leaves a sound twin, at even odds before."""
+    return _chance(_least_odds(p))
 
 
-def _probabilities(answer: Answer, verdict: str, lost: Wander | None) -> dict:
+def chance_of_listed(likeliest: Named | None, config: DiagnosisConfig) -> float:
+    """Probability that what is missing is one of the effects that are asked.
+
+    ``config.listed`` before; where the ``likeliest`` was refitted, by the least odds that what it leaves of the fitted frames leaves it
+    (as of a sound twin: a right name leaves what twins that have it do), and by the chance that it gains on frames that nobody fitted
+    (normal, by its standard error): what explains a motion for a wrong reason does not explain the next.
+    """
+    odds = config.listed / (1 - config.listed)
+    if likeliest is None:
+        return config.listed
+    gain = likeliest.gain
+    holds = 1.0 if np.isnan(gain.share) else NormalDist().cdf(gain.share / max(gain.error, 1e-9))
+    return _chance(odds * _least_odds(likeliest.left) * holds)
+
+
+def _least_odds(p: float) -> float:
+    """That a p-value leaves what it is of, over those before: -e p ln p, one at most (Sellke et al. 2001)."""
+    p = min(max(p, 1e-12), float(np.exp(-1)))
+    return float(-np.e * p * np.log(p))
+
+
+def _chance(odds: float) -> float:
+    return odds / (1 + odds)
+
+
+def _probabilities(answer: Answer, lost: Wander | None, config: DiagnosisConfig) -> dict:
     if _only_lies_below(answer):
         shares = {name: (1 - RIGHT) * share for name, share in _below(answer).items()}
         return {name: round(p, 4) for name, p in ({"adequate": RIGHT} | shares | {"unknown": 0.0}).items()}
@@ -219,9 +242,9 @@ def _probabilities(answer: Answer, verdict: str, lost: Wander | None) -> dict:
         sound = chance_of_sound(lost.p)
         return {"adequate": round(sound, 4), DRIFT: round(1 - sound, 4), "unknown": 0.0}
     sound = chance_of_sound(answer.test.p)
-    shares = {} if verdict in ("unknown", "adequate", "cannot_tell") else answer.probabilities
-    found = {"adequate": sound} | {name: (1 - sound) * share for name, share in shares.items()}
-    return {name: round(p, 4) for name, p in (found | {"unknown": 0.0 if shares else 1 - sound}).items()}
+    listed = chance_of_listed(answer.named[0] if answer.named else None, config) if answer.probabilities else 0.0
+    found = {"adequate": sound} | {name: (1 - sound) * listed * share for name, share in answer.probabilities.items()}
+    return {name: round(p, 4) for name, p in (found | {"unknown": (1 - sound) * (1 - listed)}).items()}
 
 
 def _test(answer: Answer, evidence: Evidence, config: DiagnosisConfig) -> dict:

@@ -50,6 +50,7 @@ DECIDING = (
     "runs",
     "parallel",
     "clearly",
+    "listed",
     "roaming",
     "planned",
     "members",

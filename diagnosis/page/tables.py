@@ -9,6 +9,7 @@ from .words import EFFECTS, effect_name, extent, less, millimetres, number, plac
 __all__ = ["Html", "clusters", "detectable", "facts", "fit", "hypotheses", "notes"]
 
 SPLITS = {"train": "training frames", "heldout": "held-out frames", "transfer": "another interaction, never fitted"}
+LIKELY, FAINT = 4, 0.05  # readings that are said at most, and the least probability of one that is
 YARDSTICKS = ("last_residual", "learned_residual")
 
 
@@ -25,6 +26,8 @@ def facts(result: dict) -> Html:
     if alternatives:
         said = [Html(f"{_effect(name)}{_chance(chances.get(name))}") for name in alternatives]
         rows.append(("other readings", Html("<br>".join(said))))
+    if likely := _likely(chances):
+        rows.append(("how likely", likely))
     if test := result.get("test"):
         rows.append(("chance of a sound twin", f"p = {number(test.get('p'))} (alarm below {number(test.get('level'))})"))
     if result.get("where") or result.get("when"):
@@ -123,6 +126,14 @@ def _effect(name) -> Html:
     code = f"<code>{escape(str(name))}</code>" if name is not None else ""
     words = effect_name(name)
     return Html(f"{escape(words)} {code}" if name in EFFECTS or name is None else code)
+
+
+def _likely(chances: dict) -> Html:
+    """The likeliest readings, the first first; nothing where it is certain."""
+    words = {"adequate": "nothing is missing", "unknown": "something that has no name here"}
+    best = [name for name in sorted(chances, key=lambda name: -chances[name]) if chances[name] >= FAINT][:LIKELY]
+    said = [f"{escape(words[name]) if name in words else _effect(name)}{_chance(chances[name])}" for name in best]
+    return Html("<br>".join(said) if len(best) > 1 else "")
 
 
 def _chance(value) -> str:

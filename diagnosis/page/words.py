@@ -48,7 +48,7 @@ VERDICTS = {
     "adequate": "nothing missing",
     "missing": "missing physics named",
     "ambiguous": "missing physics, two readings",
-    "unknown": "missing physics, not in the catalogue",
+    "unknown": "missing physics, without a name",
     "measurement": "measurement fault",
     "cannot_tell": "cannot tell",
 }
@@ -158,7 +158,7 @@ def headline(result: dict) -> str:
         readings = ", or ".join(effect_name(name) for name in list(dict.fromkeys(names))[:2]) or "several effects"
         return f"Something is missing, and this recording cannot tell which: {readings}."
     if verdict == "unknown":
-        return "Something is missing, but no effect in the catalogue explains it."
+        return "Something is missing, but no effect in the catalogue explains it well enough to be named."
     if verdict == "measurement":
         return f"The physics is not at fault, the measurement is: {effect}."
     return "This recording cannot tell whether anything is missing."

@@ -15,8 +15,9 @@ from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
 from twinbench.diagnosis.diagnosed import extend
 from twinbench.diagnosis.inference import phases
+from twinbench.diagnosis.inference.refit import Gain
 from twinbench.diagnosis.inference.wander import Wander
-from twinbench.diagnosis.outcome import _why_open, chance_of_sound, verdict_of
+from twinbench.diagnosis.outcome import _probabilities, _why_open, chance_of_listed, chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
 from twinbench.diagnosis.suitable import has_continuum, suitable, unseen_below
 from twinbench.methods.continuum import Continuum
@@ -165,6 +166,40 @@ def test_a_p_value_leaves_a_sound_twin_its_least_probability():
     # Sellke, Bayarri and Berger (2001), table 1: p = 0.05 is at least 0.289, 0.01 at least 0.111, 0.001 at least 0.0184
     assert [chance_of_sound(p) for p in (0.05, 0.01, 0.001)] == pytest.approx([0.289, 0.111, 0.0184], abs=5e-4)
     assert chance_of_sound(0.9) == chance_of_sound(0.4) == 0.5
+
+
+def test_what_is_missing_is_listed_as_far_as_its_likeliest_name_explains_it():
+    # 0.8 before: 4 to 1. A refit that leaves what sound twins do in one of 100 keeps -e p ln p = 0.125 of that, 0.5 to 1; one whose gain is
+    # a standard error above nothing 0.841 of it, below nothing 0.159; one that leaves what is usual and gains for sure, all
+    config = DiagnosisConfig()
+
+    def listed(left, share, error):
+        return chance_of_listed(SimpleNamespace(left=left, gain=Gain(share, error)), config)
+
+    assert chance_of_listed(None, config) == config.listed == pytest.approx(0.8)
+    assert listed(0.5, 0.9, 0.01) == pytest.approx(0.8) == pytest.approx(listed(0.4, np.nan, np.nan))
+    assert listed(0.01, 0.9, 0.01) == pytest.approx(0.5007 / 1.5007, abs=1e-3)
+    for sign, share in ((1, 0.8413), (-1, 0.1587)):
+        assert listed(0.5, 0.2 * sign, 0.2) == pytest.approx(4 * share / (1 + 4 * share), abs=1e-3)
+    assert listed(0.5, 0.3, 0.0) == pytest.approx(0.8) and listed(0.0, 0.3, 0.0) < 1e-6
+    with pytest.raises(ValueError, match=r"listed must lie in \(0, 1\), got 1"):
+        DiagnosisConfig(listed=1.0)
+
+
+@pytest.mark.parametrize("verdict", ["adequate", "named", "unknown"])
+def test_probabilities_say_how_likely_each_effect_is_whatever_the_verdict(verdict):
+    # p = 0.01 leaves a sound twin 0.111; what is missing is listed with a third where the likeliest leaves as little as one in 100
+    one = SimpleNamespace(left=0.01, gain=Gain(0.9, 0.01))
+    found = answer(verdict, chances={"wind": 0.9, "creep": 0.1})
+    found.test.p, found.named = 0.01, [] if verdict == "adequate" else [one]
+    chances = _probabilities(found, None, DiagnosisConfig())
+    missing, listed = 1 - chance_of_sound(0.01), 0.8 if verdict == "adequate" else 0.5007 / 1.5007
+    wanted = dict(adequate=1 - missing, wind=0.9 * missing * listed, creep=0.1 * missing * listed, unknown=missing * (1 - listed))
+    assert (
+        list(chances) == list(wanted)
+        and chances == pytest.approx(wanted, abs=1e-3)
+        and sum(chances.values()) == pytest.approx(1.0, abs=1e-3)
+    )
 
 
 def answer(verdict="adequate", *, held_out=1.0, sizes=(3.0, 5.0), chances=None, parallel=(), kinds=("wind",), sunk=(), rather=0.0):
