@@ -26,7 +26,7 @@ def facts(result: dict) -> Html:
     if alternatives:
         said = [Html(f"{_effect(name)}{_chance(chances.get(name))}") for name in alternatives]
         rows.append(("other readings", Html("<br>".join(said))))
-    if likely := _likely(chances):
+    if result.get("verdict") not in ("adequate", "cannot_tell") and (likely := _likely(chances)):
         rows.append(("how likely", likely))
     if test := result.get("test"):
         rows.append(("chance of a sound twin", f"p = {number(test.get('p'))} (alarm below {number(test.get('level'))})"))

@@ -13,6 +13,7 @@ import pytest
 from pages import Document
 from twinbench.datasets.collection import open_collection
 from twinbench.diagnosis.page.arrays import thin, view
+from twinbench.diagnosis.page.tables import facts
 from twinbench.diagnosis.page.words import EFFECTS, VERDICTS, extent, headline, improvement, less, number
 from twinbench.diagnosis.report import write_report
 
@@ -152,6 +153,18 @@ def test_the_page_says_what_the_diagnosis_says(diagnosed, tmp_path):
     assert "frames 12 to 30" in text and "within 40 mm" in text
     assert EFFECTS["hidden_tether"] in text and "makes the transfer worse" in text and "-24%" in text
     assert "untested" in text and "83.2 s" in text and "Two tracks were left out" in text
+
+
+def test_likely_readings_are_said_where_something_is_missing():
+    # the four likeliest, none below one in twenty; where nothing is said to be missing, or one reading is all, they are not
+    chances = {"adequate": 0.06, "wind": 0.3, "creep": 0.26, "hidden_tether": 0.04, "pressure": 0.12, "unknown": 0.22}
+    page = facts({"verdict": "unknown", "probabilities": chances})
+    said = [f"wind <code>wind</code> ({0.3:.0%})", "<code>creep</code> (26%)", "no name here (22%)", "<code>pressure</code> (12%)"]
+    assert "how likely" in page and [page.index(one) for one in said] == sorted(page.index(one) for one in said)
+    assert "nothing is missing" not in page and "hidden_tether" not in page
+    assert "nothing is missing (60%)" in facts({"verdict": "unknown", "probabilities": {"adequate": 0.6, "unknown": 0.4}})
+    for verdict, told in (("adequate", chances), ("cannot_tell", chances), ("missing", {"wind": 0.99, "unknown": 0.01})):
+        assert "how likely" not in facts({"verdict": verdict, "probabilities": told})
 
 
 def test_nothing_is_fetched_and_no_other_script_may_run(diagnosed, tmp_path):
