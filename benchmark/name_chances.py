@@ -11,7 +11,6 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -33,7 +32,7 @@ def chance(row, config: DiagnosisConfig, without: str = "") -> float:
     if not isinstance(row.first, str):
         return missing * config.listed * EQUAL
     left, share = (0.5 if without == "left" else row.p_left), (np.nan if without == "gain" else row.gain)
-    return missing * chance_of_listed(SimpleNamespace(left=left, gain=Gain(share, row.gain_error)), config)
+    return missing * chance_of_listed(config, left, Gain(share, row.gain_error))
 
 
 def summary(rows: Sequence, chances: Sequence[float]) -> dict:
@@ -42,7 +41,7 @@ def summary(rows: Sequence, chances: Sequence[float]) -> dict:
     told, refitted = np.array(chances), np.array([isinstance(row.first, str) for row in rows])
     outside = np.array([row.kind == "outside" for row in rows])
     right = np.array([row.first == row.concealed for row in rows])
-    found = {"area": auroc(told[~outside], told[outside]), "brier": float(np.mean((told - right)[refitted] ** 2))}
+    found: dict[str, float | str] = {"area": auroc(told[~outside], told[outside]), "brier": float(np.mean((told - right)[refitted] ** 2))}
     which = np.digitize(told, BINS[1:-1])
     for k, (low, high) in enumerate(pairwise(BINS)):
         own = right[refitted & (which == k)]

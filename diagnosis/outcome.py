@@ -20,6 +20,7 @@ from .experiment import proposed
 from .inference.evidence import Evidence
 from .inference.phases import Answer, Named, shortcoming
 from .inference.planning import Plan
+from .inference.refit import Gain
 from .inference.wander import Wander
 from .keeping import write_tracks, write_twins
 from .motions import figures
@@ -38,6 +39,7 @@ UNFOUNDED = (
     "recordings of the same command (--against) would tell it."
 )
 HALF = 0.5  # of how firmly a hand holds what it holds most firmly: it has fallen to that at the radius of a grip
+UNTRIED = Gain(np.nan, np.nan)
 READINGS = 0.9  # names are readings until they have this much of the probability together, were one of them true
 
 
@@ -209,19 +211,15 @@ def chance_of_sound(p: float) -> float:
     return _chance(_least_odds(p))
 
 
-def chance_of_listed(likeliest: Named | None, config: DiagnosisConfig) -> float:
+def chance_of_listed(config: DiagnosisConfig, left: float = 1.0, gain: Gain = UNTRIED) -> float:
     """Probability that what is missing is one of the effects that are asked.
 
-    ``config.listed`` before; where the ``likeliest`` was refitted, by the least odds that what it leaves of the fitted frames leaves it
-    (as of a sound twin: a right name leaves what twins that have it do), and by the chance that it gains on frames that nobody fitted
-    (normal, by its standard error): what explains a motion for a wrong reason does not explain the next.
+    ``config.listed`` before anything is tried. Where the likeliest was refitted, by the least odds that the p of what it leaves of the
+    fitted frames (``Named.left``) leaves it, and by the chance that its ``gain`` on frames that nobody fitted is one (normal, by its
+    standard error): what explains a motion for a wrong reason does not explain the next.
     """
-    odds = config.listed / (1 - config.listed)
-    if likeliest is None:
-        return config.listed
-    gain = likeliest.gain
     holds = 1.0 if np.isnan(gain.share) else NormalDist().cdf(gain.share / max(gain.error, 1e-9))
-    return _chance(odds * _least_odds(likeliest.left) * holds)
+    return _chance(config.listed / (1 - config.listed) * _least_odds(left) * holds)
 
 
 def _least_odds(p: float) -> float:
@@ -242,7 +240,8 @@ def _probabilities(answer: Answer, lost: Wander | None, config: DiagnosisConfig)
         sound = chance_of_sound(lost.p)
         return {"adequate": round(sound, 4), DRIFT: round(1 - sound, 4), "unknown": 0.0}
     sound = chance_of_sound(answer.test.p)
-    listed = chance_of_listed(answer.named[0] if answer.named else None, config) if answer.probabilities else 0.0
+    first = answer.named[0] if answer.named else None
+    listed = (chance_of_listed(config, first.left, first.gain) if first else chance_of_listed(config)) if answer.probabilities else 0.0
     found = {"adequate": sound} | {name: (1 - sound) * listed * share for name, share in answer.probabilities.items()}
     return {name: round(p, 4) for name, p in (found | {"unknown": (1 - sound) * (1 - listed)}).items()}
 

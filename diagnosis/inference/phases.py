@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from .budget import Budget, Detectable, budget, detectable
 from .controls import Controls
 from .covariance import Prior, chosen
 from .evidence import Evidence, gathered
+from .having import left_having
 from .refit import Gain, Refit, gained
 from .scan import Signature
 from .significance import Significance, fitted_rows, significance, unexplained
@@ -45,7 +46,8 @@ class Tested:
 class Named:
     """A candidate that was refitted: its ``probability`` among all effects, its ``log_evidence`` over that of nothing missing, what hands
     tell of it included, what it gains on frames that nobody fitted, where it acts, and
-    the p that a sound body's twin leaves as much of the fitted frames as it does (``left``): what explains too little is no name."""
+    the p that a sound body's twin leaves as much of the fitted frames as it does (``left``), or one that has the effect (``having``): what
+    explains too little is no name."""
 
     candidate: Candidate
     name: str
@@ -129,6 +131,7 @@ def weighed(
     usual = np.diag(scatter.expected(prior) + scatter.noise)
     named = [_named(e, s, r, nats, sound, chances, p, usual) for (s, r, nats), p in zip(best, left, strict=True)]
     named = sorted(named, key=lambda n: -n.probability)
+    named[:1] = [_judged_again(one, e, test, config, tell) for one in named[:1]]
     confirmed = bool(named) and shortcoming(named[0], config) is None
     verdict = "unfounded" if not found.founded else "adequate" if not alarm else "named" if confirmed else "unknown"
     change = named[0].refit.prediction - sound if verdict == "named" else np.zeros(len(e.residual))
@@ -217,6 +220,17 @@ def shortcoming(one: Named, config: DiagnosisConfig) -> str | None:
     if one.log_evidence <= config.clearly:
         return "is not much likelier than that nothing is missing"
     return "does not hold on the held-out frames" if one.gain.share <= 0 else None
+
+
+def _judged_again(one: Named, evidence: Evidence, test: Significance, config: DiagnosisConfig, tell: Callable[[str], object]) -> Named:
+    """By twins that have it, where it would be believed but for what it leaves."""
+    if one.left >= config.level or shortcoming(replace(one, left=1.0), config):
+        return one
+    p = left_having(evidence, test, one.refit, config)
+    if p is None:
+        return one
+    tell(f"{one.name} leaves as much as sound twins with p {one.left:.3g}, as twins that have it with p {p:.3g}")
+    return replace(one, left=max(one.left, p))
 
 
 def _refuted(named: Sequence[Named], config: DiagnosisConfig) -> set[str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
@@ -47,7 +47,7 @@ class Gain:
 class Refit:
     """``candidate`` where its place ended, or None; ``shift`` (n,) of the unknowns in prior standard deviations; ``amounts`` (m,) of the
     effect with standard deviations ``sd`` (m,), in its parameters' units; ``prediction`` (B,) m; ``log_evidence`` by Laplace's
-    approximation.
+    approximation; the ``search`` that ended at ``numbers`` (N,), where one did.
 
     Standard deviations are those of the curvature, or what sound twins would be said to have of the effect by the same slopes (RMS), where
     that is more: of a covariance from a few members the curvature promises too much (Huber 1967; Mueller 2013, whose sandwich this is)."""
@@ -58,6 +58,8 @@ class Refit:
     sd: np.ndarray
     prediction: np.ndarray
     log_evidence: float
+    search: Search | None = None
+    numbers: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,7 +227,7 @@ def _searched(forward, asked, signature, config, sound, start) -> Refit:
     spread = np.sqrt(np.mean([np.linalg.solve(*equations) ** 2 for equations in mistaken], axis=0)) if mistaken else 0.0
     own, sd = (one[amounts] for one in (at.numbers, np.maximum(np.sqrt(np.diag(inverse)), spread)))
     sizes, sd = search.scale.amounts(own), sd * search.scale.slope(own)
-    return Refit(search.candidate(at.numbers), at.numbers[unknowns], sizes, sd, at.prediction, evidence)
+    return Refit(search.candidate(at.numbers), at.numbers[unknowns], sizes, sd, at.prediction, evidence, search, at.numbers)
 
 
 def gained(data, sound, other, cells: Sequence | np.ndarray, variances: np.ndarray | float = 1.0) -> Gain:

@@ -22,7 +22,7 @@ from .covariance import Prior, Scatter
 from .likelihood import Likelihood
 from .scan import Score, Signature, scores
 
-__all__ = ["Significance", "fitted_rows", "left_of", "predictive", "significance", "unexplained"]
+__all__ = ["Significance", "fitted_rows", "left_of", "misfits", "predictive", "significance", "unexplained"]
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def significance(
     held_out, scatter = scatter.only(away), scatter.only(rows)
     p_held_out = 1.0
     if len(away):
-        p_held_out, _ = predictive(*_misfits(held_out.likelihood(prior), held_out.left_out(prior), residual[away], noisy[:, away]))
+        p_held_out, _ = predictive(*misfits(held_out.likelihood(prior), held_out.left_out(prior), residual[away], noisy[:, away]))
     residual, noisy = residual[rows], noisy[:, rows]
     asked = [fitted_rows(s, rows) for s in catalogue]
     likelihood = scatter.likelihood(prior)
@@ -111,10 +111,10 @@ def significance(
     found = scores(likelihood, residual, asked)
     found = [one.beside(at_hands) if s.candidate.effect.at_hands else one for one, s in zip(found, asked, strict=True)]
     left_out = scatter.left_out(prior)
-    misfit, misfits = _misfits(likelihood, left_out, residual, noisy)
+    misfit, usual = misfits(likelihood, left_out, residual, noisy)
     largests = [_largest(scores(one, row, asked)) for one, row in zip(left_out, noisy, strict=True)]
     largest = _largest(found)
-    (p_misfit, over_misfit), (p_scan, over_scan) = predictive(misfit, misfits), predictive(largest, largests)
+    (p_misfit, over_misfit), (p_scan, over_scan) = predictive(misfit, usual), predictive(largest, largests)
     p_members = 1 - (1 - min(p_misfit, p_scan)) ** 2  # the smaller of two; they are not independent, so that this is an upper bound
     standardised = {"misfit": over_misfit, "scan": over_scan, "left": left_of(residual, np.asarray(motion)[rows])}
     standardised |= hands or {}
@@ -127,7 +127,7 @@ def significance(
         p_held_out,
         misfit,
         largest,
-        tuple(misfits),
+        tuple(usual),
         tuple(largests),
         standardised,
         tuple(found),
@@ -157,7 +157,7 @@ def left_of(residual, motion) -> float:
     return float(np.log(left / moved))
 
 
-def _misfits(likelihood: Likelihood, left_out: Sequence[Likelihood], residual, noisy) -> tuple[float, list[float]]:
+def misfits(likelihood: Likelihood, left_out: Sequence[Likelihood], residual, noisy) -> tuple[float, list[float]]:
     """Mean whitened squares of the recordings, and of each member by the ``left_out`` others."""
     size = len(residual)
     return likelihood.misfit(residual) / size, [one.misfit(row) / size for one, row in zip(left_out, noisy, strict=True)]

@@ -174,9 +174,9 @@ def test_what_is_missing_is_listed_as_far_as_its_likeliest_name_explains_it():
     config = DiagnosisConfig()
 
     def listed(left, share, error):
-        return chance_of_listed(SimpleNamespace(left=left, gain=Gain(share, error)), config)
+        return chance_of_listed(config, left, Gain(share, error))
 
-    assert chance_of_listed(None, config) == config.listed == pytest.approx(0.8)
+    assert chance_of_listed(config) == config.listed == pytest.approx(0.8)
     assert listed(0.5, 0.9, 0.01) == pytest.approx(0.8) == pytest.approx(listed(0.4, np.nan, np.nan))
     assert listed(0.01, 0.9, 0.01) == pytest.approx(0.5007 / 1.5007, abs=1e-3)
     for sign, share in ((1, 0.8413), (-1, 0.1587)):

@@ -20,7 +20,7 @@ from twinbench.diagnosis.inference.phases import _refuted
 from twinbench.diagnosis.inference.refit import begun, gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
 from twinbench.diagnosis.inference.search import Asked
-from twinbench.diagnosis.inference.significance import _misfits, predictive, significance, unexplained
+from twinbench.diagnosis.inference.significance import misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
 from twinbench.diagnosis.inference.trials import Trials, _in_order, _in_other_shapes, _likely, chances_of
 from twinbench.physics.parameters import Parameter
@@ -830,8 +830,8 @@ def test_a_name_must_leave_as_little_as_sound_twins_do():
     draws = random.normal(0, 1e-3, (20, SIZE))
 
     def left(scatter, members, residuals, controls=None):
-        misfits = _misfits(scatter.likelihood(prior), scatter.left_out(prior), members[0], members)[1]
-        test = SimpleNamespace(misfits=misfits, controls=controls)
+        usual = misfits(scatter.likelihood(prior), scatter.left_out(prior), members[0], members)[1]
+        test = SimpleNamespace(misfits=usual, controls=controls)
         return np.array([unexplained(test, scatter.likelihood(prior), one, motion) for one in residuals])
 
     usual, thrice = (left(scatter, members, k * draws) for k in (1, 3))
