@@ -11,21 +11,31 @@ from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.evidence import gathered
 from twinbench.diagnosis.inference.having import left_having
 from twinbench.diagnosis.inference.members import ran
-from twinbench.diagnosis.inference.trials import Trials
+from twinbench.diagnosis.inference.refit import Refit
+from twinbench.diagnosis.inference.search import Asked, Search
 from twinbench.physics.terms import Wind
 
-CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=8, cells=1.0, refitted=1)
+CONFIG = DiagnosisConfig(regions=4, times=3, held_out=1, members=6, cells=1.0, rounds=2)
+BLOWN = dict(wind_x=0.0, wind_y=20.0, wind_z=0.0)
 
 
 @pytest.fixture(scope="module")
 def windy():
-    """(evidence of a block in a wind, its test by members alone, the refit of a wind)."""
-    evidence = gathered(sound_twin(0.02), [block(extra=(Wind(),), wind_y=20.0, wind_speed=3.0)], CONFIG, missing={"wind": None})
+    """(evidence of a block in a wind, its test by members alone, a refit that found that wind)."""
+    evidence = gathered(sound_twin(0.02), [block(extra=(Wind(),), **BLOWN, wind_speed=3.0)], CONFIG, missing={"wind": None})
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Controls, "of", lambda *asked, **more: None)
         found = phases.tested(evidence, CONFIG)
-    trials = Trials.of(evidence, found.prior, found.test, CONFIG).with_refits()
-    return evidence, found.test, trials.made[trials.best["wind"]]
+    rows = np.flatnonzero(evidence.scatter.layout.fitted)
+    likelihood = evidence.scatter.only(rows).likelihood(found.prior, parameters=False)
+    asked = Asked(evidence.forward.data, evidence.reference, evidence.slopes, likelihood, rows)
+    signature = replace(evidence.catalogue[0], candidate=replace(evidence.catalogue[0].candidate, fixed={"wind_speed": 3.0}))
+    search = Search.of(evidence.forward.fitted_alone(evidence.reference), asked, signature, CONFIG)
+    amounts = np.array(list(BLOWN.values()))
+    numbers = np.concatenate([np.zeros(2), amounts / search.scale.wide, [0.0]])
+    [place] = search.places([numbers])
+    refit = Refit(search.candidate(numbers), numbers[:2], amounts, np.ones(3), place.prediction, 0.0, search, numbers)
+    return evidence, found.test, refit
 
 
 @pytest.mark.long
