@@ -62,8 +62,8 @@ class DiagnosisConfig:
                 the first does
     clearly     nats by which an effect must be likelier than that nothing is missing to be named: 24 effects, one of which acts in one
                 recording of 33, are at even odds then (ln 24 x 33 = 6.7)
-    listed      probability that what is missing is one of the effects that are asked, before anything is tried: nobody knows; of the open
-                sets two to four in five are. Chosen by looking at one of them (results/inference.md, "Probabilities of names")
+    listed      probability that what is missing is one of the effects that are asked, before anything is tried: nobody knows, and 0.8 was
+                the first that was tried; what others do is in results/inference.md, "Probabilities of names"
     roaming     standard deviation of where a hand that is not listed may be, from where it held the body in frame 0, in each coordinate
                 and bin [mm]: an arm's length
     planned     motions, at most, that members run through where a recording leaves something open, each at twice the cost of the members
