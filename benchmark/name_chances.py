@@ -11,10 +11,13 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 
 from ..diagnosis.config import DiagnosisConfig
+from ..diagnosis.inference.phases import Named, shortcoming
 from ..diagnosis.inference.refit import Gain
 from ..diagnosis.outcome import chance_of_listed, chance_of_sound
 from .challenge.statistics import auroc
@@ -51,7 +54,8 @@ def summary(rows: Sequence, chances: Sequence[float]) -> dict:
 
 def by_verdict(row, config: DiagnosisConfig) -> float:
     """All for the name where it is believed, nothing otherwise."""
-    believed = row.p < config.level <= row.p_left and row.nats > config.clearly and row.gain > 0
+    tried = SimpleNamespace(left=row.p_left, log_evidence=row.nats, gain=Gain(row.gain, row.gain_error))
+    believed = isinstance(row.first, str) and row.p < config.level and shortcoming(cast(Named, tried), config) is None
     return (1 - chance_of_sound(row.p)) * float(believed)
 
 

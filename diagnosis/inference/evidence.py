@@ -13,7 +13,7 @@ from ..config import DiagnosisConfig
 from .absorption import absorb
 from .covariance import Scatter
 from .forward import Forward
-from .members import Member, drawn, ran
+from .members import FEWEST, Member, drawn, ran
 from .scan import Signature, signatures, usual_errors
 
 __all__ = ["Evidence", "gathered"]
@@ -72,8 +72,8 @@ def gathered(
     runs = ran(sound_twins, forward, config)
     good = np.flatnonzero(np.isfinite(runs).all(1))
     runs, kept = runs[good], tuple(sound_twins[k] for k in good)
-    if len(runs) < 4:
-        raise ValueError(f"at least 4 members must not diverge, got {len(runs)} of {config.members} (scenario {recordings[0].name})")
+    if len(runs) < FEWEST:
+        raise ValueError(f"at least {FEWEST} members must not diverge, got {len(runs)} of {config.members} (scenario {recordings[0].name})")
     tell(f"{len(runs)} sound twins")
     layout, random = forward.layout, np.random.default_rng(seed)
     draws = np.array([draw(random) for _ in runs])

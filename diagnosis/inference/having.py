@@ -16,13 +16,11 @@ from ..config import DiagnosisConfig
 from .absorption import absorb
 from .covariance import chosen
 from .evidence import Evidence
-from .members import ran
+from .members import FEWEST, ran
 from .refit import Refit
 from .significance import Significance, misfits, unexplained
 
 __all__ = ["left_having"]
-
-FEWEST = 4  # members, of whose statistics a deviation can be told
 
 
 def left_having(evidence: Evidence, test: Significance, refit: Refit, config: DiagnosisConfig) -> float | None:
@@ -37,27 +35,26 @@ def left_having(evidence: Evidence, test: Significance, refit: Refit, config: Di
     rows, numbers = search.asked.rows, refit.numbers
     low, high = search.forward.bounds
     effect = search.candidate(numbers).values(refit.amounts)
-    shifts = [np.clip(one.shift + refit.shift, low, high) for one in evidence.members]
-    values = [{**search.forward.values(own), **one.values, **effect} for own, one in zip(shifts, evidence.members, strict=True)]
-    kept = np.array([k for k, row in enumerate(values) if search.twins.steps(row) <= search.most], int)
-    runs = ran([evidence.members[k] for k in kept], search.twins, config, [values[k] for k in kept])
-    finite = np.isfinite(runs).all(1)
-    runs, good = runs[finite], kept[finite]
-    if len(good) < FEWEST:
+    made = [replace(one, shift=np.clip(one.shift + refit.shift, low, high), values={**one.values, **effect}) for one in evidence.members]
+    kept = [k for k, one in enumerate(made) if search.twins.steps({**search.forward.values(one.shift), **one.values}) <= search.most]
+    if len(kept) < FEWEST:
         return None
-    at = search.place(numbers, refit.prediction)
-    everything = np.ones(search.size, bool)
+    runs = ran([made[k] for k in kept], search.twins, config)
+    finite = np.isfinite(runs).all(1)
+    if finite.sum() < FEWEST:
+        return None
+    runs, good = runs[finite], np.array(kept)[finite]
+    at, everything = search.place(numbers, refit.prediction), np.ones(search.size, bool)
     slopes = search.measured(at, search.slopes, search.low, search.high, everything)
     sound = evidence.scatter
     sd = np.where(sound.layout.fitted, np.sqrt(np.diag(sound.noise)), np.inf)
     both = np.concatenate([runs, search.asked.data[None]])
     about: dict = dict(bounds=(search.low - numbers, search.high - numbers), rounds=config.rounds)
     left = absorb(both, refit.prediction, slopes, sd, lambda shift: search.run(numbers + shift), **about)[0][:-1]
-    having = replace(sound, left=left, slopes=slopes)
+    scatter = replace(sound, left=left, slopes=slopes)
     noisy = left + (evidence.noisy - sound.left)[good]
-    prior = chosen(having, config, noisy)
-    having, noisy = having.only(rows), noisy[:, rows]
-    likelihood = having.likelihood(prior)
-    residual = search.asked.left(refit.prediction)
-    _, usual = misfits(likelihood, having.left_out(prior), residual, noisy)
+    prior = chosen(scatter, config, noisy)
+    scatter, noisy = scatter.only(rows), noisy[:, rows]
+    likelihood, residual = scatter.likelihood(prior), search.asked.left(refit.prediction)
+    _, usual = misfits(likelihood, scatter.left_out(prior), residual, noisy)
     return unexplained(replace(test, misfits=tuple(usual)), likelihood, residual, evidence.forward.motion[rows])

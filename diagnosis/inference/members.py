@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -21,9 +20,9 @@ from ...physics.grids import embed
 from ..config import DiagnosisConfig
 from .forward import Forward
 
-__all__ = ["Member", "affordable", "drawn", "ran", "scene_of", "shared"]
+__all__ = ["FEWEST", "Member", "affordable", "drawn", "ran", "scene_of", "shared"]
 
-Item = TypeVar("Item")
+FEWEST = 4  # members, of which a deviation can be told
 LESS = 0.8  # of a shift that is too dear, again and again
 
 
@@ -70,29 +69,22 @@ def affordable(shift: np.ndarray, forward: Forward, config: DiagnosisConfig) -> 
     return shift
 
 
-def ran(
-    members: Sequence[Member], forward: Forward, config: DiagnosisConfig, values: Sequence[Mapping[str, float]] | None = None
-) -> np.ndarray:
-    """(K, B) m, block means of each of K members; NaN where one diverged, or where no such body can be made.
+def ran(members: Sequence[Member], forward: Forward, config: DiagnosisConfig) -> np.ndarray:
+    """(K, B) m, block means of each of K members; NaN where one diverged, or where no such body can be made."""
 
-    ``values`` (K): of each beside what was told, in the place of its own ``shift`` and ``values``.
-    """
-
-    def run(own: tuple[Member, Mapping[str, float]], forward: Forward) -> np.ndarray:
-        member, row = own
+    def run(member: Member, forward: Forward) -> np.ndarray:
         scenes: list[Scene] = []
         for simulator, one in zip(forward.simulators, forward.recordings, strict=True):
             scenes.append(scene_of(member, simulator.scene, one.observed(), config, like=scenes[0].body if scenes else None))
-        return forward.with_scenes(scenes).rows([row])[0]
+        return forward.with_scenes(scenes).at(member.shift, member.values)[0]
 
-    values = values or [{**forward.values(one.shift), **one.values} for one in members]
-    return shared(list(zip(members, values, strict=True)), forward, run)
+    return shared(members, forward, run)
 
 
-def shared(members: Sequence[Item], forward: Forward, run: Callable[[Item, Forward], np.ndarray]) -> np.ndarray:
+def shared(members: Sequence[Member], forward: Forward, run: Callable[[Member, Forward], np.ndarray]) -> np.ndarray:
     """(K, B) m, what ``run`` says of each of K members; NaN where it raises ValueError."""
 
-    def one(member: Item, forward: Forward) -> np.ndarray:
+    def one(member: Member, forward: Forward) -> np.ndarray:
         try:
             return run(member, forward)
         except ValueError:

@@ -69,5 +69,7 @@ def test_what_has_no_members_or_was_not_searched_is_not_judged_so(windy):
     evidence, test, refit = windy
     assert left_having(replace(evidence, members=()), test, refit, CONFIG) is None
     assert left_having(evidence, test, replace(refit, search=None), CONFIG) is None
+    dear = replace(refit, search=replace(refit.search, most=0.0))  # no member may take that few steps
+    assert left_having(evidence, test, dear, CONFIG) is None
     few = replace(evidence, members=evidence.members[:3], noisy=evidence.noisy[:3])
     assert left_having(few, test, refit, CONFIG) is None
