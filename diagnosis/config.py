@@ -58,6 +58,8 @@ class DiagnosisConfig:
                 twenty, and 24 a slipping hand, which takes 70 runs more (results/inference.md)
     runs        of such a refit, at most: a rope's takes some 60, of an obstacle or a slipping hand up to 270 (results/inference.md), one
                 that moves a cable by decimetres would take a thousand of seconds each
+    behind      nats by which a refit may be short of another one where its slopes lead, and go on: they may lead farther than they say;
+                what it saves and what it could have cost is in results/inference.md, "Refits that cannot keep up"
     parallel    cosine of two whitened signatures above which their effects cannot be told apart: at 0.95 the second explains 90 % of what
                 the first does
     clearly     nats by which an effect must be likelier than that nothing is missing to be named: 24 effects, one of which acts in one
@@ -100,6 +102,7 @@ class DiagnosisConfig:
     reshaped: float = 2.0
     steps: int = 60
     runs: int = 300
+    behind: float = 30.0
     parallel: float = 0.95
     clearly: float = 6.7
     listed: float = 0.8

@@ -48,6 +48,7 @@ DECIDING = (
     "reshaped",
     "steps",
     "runs",
+    "behind",
     "parallel",
     "clearly",
     "listed",

@@ -161,11 +161,13 @@ def refitted(
     config: DiagnosisConfig,
     sound: Sequence[tuple[Likelihood, np.ndarray]] = (),
     start: Start | None = None,
+    reach: float = -np.inf,
 ) -> Refit:
     """Of ``signature``'s candidate, or of the sound twin alone (None), to what is ``asked``, from ``start`` or, without one, from where the
     fit ended.
 
     sound  what sound twins leave of the rows, each with the likelihood by the others
+    reach  log evidence of a rival: what stays ``config.behind`` nats short of it where its slopes lead is given up where it is
 
     All refits of a recording have the same budget of steps. Slopes are the shared ones at first, or such as are measured at its start,
     corrected after each step by what it missed (``slopes``), and measured again where a step gained less than a fifth of what they
@@ -176,17 +178,19 @@ def refitted(
     but one where the refit arrived; where that diverges, all frames are run all along, from where the fit ended.
     """
     alone = forward.fitted_alone(asked.reference)
-    found = _searched(alone, asked, signature, config, sound, start)
+    found = _searched(alone, asked, signature, config, sound, start, reach)
     if alone is forward:
         return found
     twins, more = (
         (forward, {}) if found.candidate is None else (forward.with_effects([found.candidate]), found.candidate.values(found.amounts))
     )
     whole = twins.rows([{**forward.values(found.shift), **more}])[0]
-    return replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, asked, signature, config, sound, None)
+    return (
+        replace(found, prediction=whole) if np.isfinite(whole).all() else _searched(forward, asked, signature, config, sound, None, reach)
+    )
 
 
-def _searched(forward, asked, signature, config, sound, start) -> Refit:
+def _searched(forward, asked, signature, config, sound, start, reach) -> Refit:
     """As ``refitted``, all runs by ``forward``."""
     search = Search.of(forward, asked, signature, config, start.scale if start else None)
     low, high, (unknowns, amounts, _, forms) = search.low.copy(), search.high.copy(), search.parts
@@ -204,6 +208,8 @@ def _searched(forward, asked, signature, config, sound, start) -> Refit:
         if forward.cost.runs - first >= config.runs:
             break
         step, promised = search.step(at, jacobian, low, high)
+        if -search.place(at.numbers + step, at.prediction + jacobian @ step).cost < reach - config.behind:
+            break  # evidence is at most the density of the best place there is
         for part in TRIALS:
             [found] = search.places([np.clip(at.numbers + part * step, low, high)])
             if np.isfinite(found.cost):

@@ -49,8 +49,9 @@ class Trials:
         return cls(e, prior, test, config, asked, refitted(e.forward, asked, None, config), {})
 
     def with_refits(self) -> Trials:
-        """Much of each effect is tried, and the best ``config.refitted`` are refitted, where a little of each is likeliest and elsewhere;
-        where refits were worse than their linear evidence, the likeliest may be one that was not refitted, which then is."""
+        """Much of each effect is tried, and the best ``config.refitted`` are refitted, where a little of each is likeliest and elsewhere:
+        the most promising first, then the others as far as they can keep up with it. Where refits were worse than their linear evidence,
+        the likeliest may be one that was not refitted, which then is."""
         e, rows, likely = self.evidence, self.asked.rows, self.likely
 
         def begin(k: int, forward: Forward) -> list[Start]:
@@ -62,17 +63,25 @@ class Trials:
         left_out = e.scatter.only(rows).left_out(self.prior, parameters=False)
         members = list(zip(left_out, e.noisy[:, rows], strict=True))
 
-        def refit(k: int, forward: Forward) -> Refit:
+        def refit(k: int, forward: Forward, rival: float) -> Refit:
             own = [(one.signature, one) for one in (starts[k] if k in starts else begin(k, forward))]
-            made = [refitted(forward, self.asked, s, self.config, members, one) for s, one in own or [(e.catalogue[k], None)]]
+            reach = rival + self.sound.log_evidence - self.test.scores[k].told
+            made = [refitted(forward, self.asked, s, self.config, members, one, reach) for s, one in own or [(e.catalogue[k], None)]]
             return max(made, key=lambda one: one.log_evidence)
 
-        found = self
-        which = [k for name in _in_order(self.test.scores, led)[: self.config.refitted] for k in likely[name]]
-        while which:
-            found = replace(found, made={**found.made, **dict(zip(which, e.forward.each(refit, which), strict=True))})
-            likeliest, best = next(iter(found.chances)), found.best
-            which = likely[likeliest] if likeliest not in best and len(best) < MOST * self.config.refitted else []
+        def further(found: Trials, which: Sequence[int]) -> Trials:
+            rival = max((found.over_sound(*one) for one in found.made.items()), default=-np.inf)
+            own = e.forward.each(lambda k, forward: refit(k, forward, rival), which)
+            return replace(found, made={**found.made, **dict(zip(which, own, strict=True))})
+
+        names, found = _in_order(self.test.scores, led)[: self.config.refitted], self
+        for own in (names[:1], names[1:]):
+            found = further(found, [k for name in own for k in likely[name]])
+        while found.made and len(found.best) < MOST * self.config.refitted:
+            likeliest = next(iter(found.chances))
+            if likeliest in found.best:
+                break
+            found = further(found, likely[likeliest])
         return found
 
     @cached_property

@@ -19,7 +19,7 @@ from twinbench.diagnosis.inference.likelihood import Likelihood, log_gain
 from twinbench.diagnosis.inference.phases import _refuted
 from twinbench.diagnosis.inference.refit import begun, gained, refitted
 from twinbench.diagnosis.inference.scan import Score, Signature, score, usual_errors
-from twinbench.diagnosis.inference.search import Asked
+from twinbench.diagnosis.inference.search import Asked, Search
 from twinbench.diagnosis.inference.significance import misfits, predictive, significance, unexplained
 from twinbench.diagnosis.inference.slopes import corrected
 from twinbench.diagnosis.inference.trials import Trials, _in_order, _in_other_shapes, _likely, chances_of
@@ -383,6 +383,33 @@ def test_a_refit_goes_no_farther_than_steps_are_affordable():
     assert (
         5 <= twins.cost.runs - before <= 5 + 10 + 7
     )  # amounts are scaled by ten runs, and a step that has begun is ended: three trials, four slopes
+
+
+def test_a_refit_that_cannot_come_near_its_rival_is_given_up():
+    # 15 mm of an effect: of a rival that is 29 nats ahead of where it ends it does not hear; one that is 31 ahead of where its slopes lead
+    # ends it before its first step
+    world = World(9)
+    one = world.catalogue[0]
+    twins = Bent(world, one.columns[:, 0])
+    data = twins.rows([dict(p0=0.3, p1=0.0, p2=-0.2, push=15.0)])[0]
+    fitting = world.evidence(world.reference)[0].likelihood(PRIOR, parameters=False)
+    given = (twins, Asked(data, world.reference, world.slopes, fitting, np.arange(SIZE)), one, DiagnosisConfig(behind=30.0))
+
+    def raced(reach):
+        before = twins.cost.runs
+        return refitted(*given, reach=reach), twins.cost.runs - before
+
+    whole, most = raced(-np.inf)
+    near, same = raced(whole.log_evidence + 29.0)
+    assert same == most and near.log_evidence == whole.log_evidence and near.amounts[0] == whole.amounts[0]
+    search = Search.of(*given)
+    nothing = search.place(np.zeros(search.size), world.reference)
+    step, _ = search.step(nothing, search.slopes, search.low, search.high)
+    led = -search.place(step, nothing.prediction + search.slopes @ step).cost
+    assert led > -nothing.cost + 50
+    ended, fewest = raced(led + 31.0)
+    assert ended.log_evidence < whole.log_evidence and fewest < same and np.isfinite(ended.prediction).all()
+    assert np.array_equal(ended.shift, np.zeros(3)) and ended.amounts[0] == 0.0  # as it began
 
 
 class Stopped(Bent):

@@ -23,18 +23,30 @@ def evidence():
     return gathered(sound_twin(0.02), [block(extra=(Wind(),), wind_y=20.0, wind_speed=3.0)], CONFIG, missing=asked)
 
 
+def counted(evidence, trials):
+    """With refits, and the runs that they took."""
+    before = evidence.forward.cost.runs
+    return trials.with_refits(), evidence.forward.cost.runs - before
+
+
 @pytest.mark.long
 def test_the_best_are_refitted_once_and_the_likeliest_is_among_them(evidence, monkeypatch):
     monkeypatch.setattr(Controls, "of", lambda *asked, **more: None)
     found = phases.tested(evidence, CONFIG)
     none = Trials.of(evidence, found.prior, found.test, CONFIG)
-    whole = none.with_refits()
+    whole, runs = counted(evidence, none)
     assert not none.made and not none.best and CONFIG.refitted <= len(whole.best) <= MOST * CONFIG.refitted
     assert set(whole.made) <= {k for own in whole.likely.values() for k in own}  # at the likeliest place, or elsewhere
     assert next(iter(whole.chances)) in whole.best and next(iter(whole.chances)) == "wind"
     for name, k in whole.best.items():
         own = [one.log_evidence for j, one in whole.made.items() if evidence.catalogue[j].name == name]
         assert whole.made[k].log_evidence == max(own)
+    # who is given up is not the likeliest, and would not be: with all of them refitted in full it is the same, to the last digit
+    full, most = counted(evidence, replace(none, config=replace(CONFIG, behind=np.inf)))
+    k = whole.best["wind"]
+    assert full.best["wind"] == k and full.made[k].log_evidence == whole.made[k].log_evidence and runs < most
+    for name, one in full.best.items():
+        assert full.over_sound(one, full.made[one]) < full.over_sound(k, full.made[k]) or name == "wind"
 
 
 def test_how_much_less_a_hand_holds_than_was_told(evidence):
