@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,7 +24,7 @@ from .inference.blocks import is_marked
 from .inference.contrast import comparable, until
 from .inference.evidence import Evidence, gathered
 from .inference.peers import are_members, compared, there
-from .inference.phases import Answer, Named, tested, weighed
+from .inference.phases import Answer, Named, tested, weighed, withdrawn
 from .inference.planning import Plan
 from .inference.settling import left, settled
 from .motors import ask_joints, is_moved_by_motors
@@ -140,6 +141,9 @@ def asked(
             return Asked(twin, evidence, answer, hold.twin, hold.tracks)
     beside, first = bool(fitted_on or against), answer.named[0] if answer.verdict == "named" else None
     told = _with(first, twin, evidence, config, beside=beside, seed=seed, progress=progress) if first else None
+    if first and told and not (_as_refitted(first, beside) or _leaves_less(told, twin, evidence, config)):
+        progress(f"the twin with {first.name} misses more of the fitted frames than without")
+        answer, told = withdrawn(answer, evidence), None
     return Asked(twin, evidence, answer, told, faster=_faster(recordings, known) if asking.peers else None)
 
 
@@ -220,12 +224,26 @@ def _with(
     named: Named, twin: ContinuumTwin, evidence: Evidence, config: DiagnosisConfig, *, beside: bool = False, seed: int, progress: Tell
 ) -> ContinuumTwin:
     """``twin`` with what was ``named``; ``beside`` recordings in which nothing is missing."""
-    if beside or named.candidate.effect.seen:
+    if _as_refitted(named, beside):
         return _refitted_twin(twin, evidence, named)
     progress(f"fitting the twin with {named.words}")
     recordings = evidence.forward.recordings
     found = told_twin(twin, [one.observed() for one in recordings], named, _coarse(config, recordings), seed=seed)
     return settled(found, recordings, config)
+
+
+def _as_refitted(named: Named, beside: bool) -> bool:
+    """Whether the twin with what was named is not fitted again: ``beside`` sound recordings, in which the effect must not act, and of
+    faults of what was measured."""
+    return beside or named.candidate.effect.seen is not None
+
+
+def _leaves_less(told: ContinuumTwin, twin: ContinuumTwin, evidence: Evidence, config: DiagnosisConfig) -> bool:
+    """Whether ``told`` misses less of the fitted frames than ``twin``, which has nothing that it has not; no, where it diverges there."""
+    recordings = evidence.forward.recordings
+    with suppress(ValueError):
+        return left(told, recordings, config) < left(twin, recordings, config)
+    return False
 
 
 def _refitted_twin(twin: ContinuumTwin, evidence: Evidence, named: Named) -> ContinuumTwin:

@@ -25,7 +25,7 @@ from .significance import Significance, fitted_rows, significance, unexplained
 from .trials import Trials, chances_of
 from .wander import Wander, wander
 
-__all__ = ["Answer", "Named", "Tested", "infer", "shortcoming", "tested", "weighed"]
+__all__ = ["Answer", "Named", "Tested", "infer", "shortcoming", "tested", "weighed", "withdrawn"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class Tested:
 class Named:
     """A candidate that was refitted: its ``probability`` among all effects, its ``log_evidence`` over that of nothing missing, what hands
     tell of it included, what it gains on frames that nobody fitted, where it acts, and
-    the p that a sound body's twin leaves as much of the fitted frames as it does (``left``), or one that has the effect (``having``): what
-    explains too little is no name."""
+    the p that a sound body's twin leaves as much of the fitted frames as it does (``left``), or one that has the effect (``having``), 0
+    where the twin that is fitted on with it leaves more than the sound one: what explains too little is no name."""
 
     candidate: Candidate
     name: str
@@ -220,6 +220,13 @@ def shortcoming(one: Named, config: DiagnosisConfig) -> str | None:
     if one.log_evidence <= config.clearly:
         return "is not much likelier than that nothing is missing"
     return "does not hold on the held-out frames" if one.gain.share <= 0 else None
+
+
+def withdrawn(answer: Answer, evidence: Evidence) -> Answer:
+    """``answer`` without its name, of which the twin that is fitted on with it leaves more than the sound one."""
+    e, first = evidence, replace(answer.named[0], left=0.0)
+    unexplained = budget(e.scatter, answer.prior, e.forward.data - e.reference, e.posterior, np.zeros(len(e.reference)), e.forward.missed)
+    return replace(answer, verdict="unknown", named=(first, *answer.named[1:]), budget=tuple(unexplained))
 
 
 def _judged_again(one: Named, evidence: Evidence, test: Significance, config: DiagnosisConfig, tell: Callable[[str], object]) -> Named:

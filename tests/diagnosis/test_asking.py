@@ -291,6 +291,21 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
     assert {part["record"] for part in sound.result["budget"]} == {0, 1}
 
 
+@pytest.mark.long
+def test_a_name_whose_twin_misses_more_than_the_sound_one_is_withdrawn(monkeypatch):
+    # the twin with the wind that was there misses less; one that misses as much as the sound twin has no use for its name
+    made, seen = asking._with, []
+    monkeypatch.setattr(asking, "_with", lambda named, twin, *given, **more: seen.append(made(named, twin, *given, **more)) or twin)
+    blown = block("blown", extra=(Wind(),), wind_y=20.0, wind_speed=3.0)
+    found = asking.asked([blown], CONFIG, progress=lambda said: None)
+    answer, first = found.answer, found.answer.named[0]
+    assert asking._leaves_less(seen[0], found.twin, found.evidence, CONFIG)
+    assert answer.verdict == "unknown" and found.told is None and first.left == 0.0
+    assert _why_open(answer, "unknown", CONFIG).endswith("leaves more unexplained than sound twins do.")
+    assert all(part.named == 0 for part in answer.budget) and max(part.unexplained for part in answer.budget) > 0
+    assert chance_of_listed(CONFIG, first.left, first.gain) < 1e-6
+
+
 @pytest.mark.slow
 def test_tracks_that_wander_are_said_in_the_result(monkeypatch, tmp_path):
     # no effect of the catalogue: nothing that is looked up for effects may be missed for it
