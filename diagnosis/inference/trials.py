@@ -50,8 +50,8 @@ class Trials:
 
     def with_refits(self) -> Trials:
         """Much of each effect is tried, and the best ``config.refitted`` are refitted, where a little of each is likeliest and elsewhere:
-        the most promising first, then the others as far as they can keep up with it. Where refits were worse than their linear evidence,
-        the likeliest may be one that was not refitted, which then is."""
+        the most promising first, then the others as far as they can keep up with it, but for what hides, which may lead far from where it
+        begins. Where refits were worse than their linear evidence, the likeliest may be one that was not refitted, which then is."""
         e, rows, likely = self.evidence, self.asked.rows, self.likely
 
         def begin(k: int, forward: Forward) -> list[Start]:
@@ -65,7 +65,7 @@ class Trials:
 
         def refit(k: int, forward: Forward, rival: float) -> Refit:
             own = [(one.signature, one) for one in (starts[k] if k in starts else begin(k, forward))]
-            reach = rival + self.sound.log_evidence - self.test.scores[k].told
+            reach = -np.inf if e.catalogue[k].candidate.effect.hides else rival + self.sound.log_evidence - self.test.scores[k].told
             made = [refitted(forward, self.asked, s, self.config, members, one, reach) for s, one in own or [(e.catalogue[k], None)]]
             return max(made, key=lambda one: one.log_evidence)
 

@@ -1,12 +1,13 @@
 """Which candidates are refitted, and how far a fit went from what was told of hands."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from blocks import block, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
-from twinbench.diagnosis.inference import phases
+from twinbench.diagnosis.inference import phases, trials
 from twinbench.diagnosis.inference.controls import Controls
 from twinbench.diagnosis.inference.evidence import gathered
 from twinbench.diagnosis.inference.trials import MOST, Trials
@@ -47,6 +48,25 @@ def test_the_best_are_refitted_once_and_the_likeliest_is_among_them(evidence, mo
     assert full.best["wind"] == k and full.made[k].log_evidence == whole.made[k].log_evidence and runs < most
     for name, one in full.best.items():
         assert full.over_sound(one, full.made[one]) < full.over_sound(k, full.made[k]) or name == "wind"
+
+
+def test_all_but_the_first_must_come_near_it_unless_they_hide(evidence, monkeypatch):
+    # what the first has over the sound twin, told with what is told beside: 50 nats, over a sound twin of 3
+    hiding = [s if s.name != "creep" else replace(s, candidate=replace(s.candidate, effect=replace(s.candidate.effect, hides="grip")))
+              for s in evidence.catalogue]  # fmt: skip
+    asked, reaches = replace(evidence, catalogue=tuple(hiding)), {}
+
+    def refit(forward, asked, signature, config, sound=(), start=None, reach=-np.inf):
+        if signature is not None:
+            reaches.setdefault(signature.name, reach)
+        return SimpleNamespace(log_evidence=3.0 if signature is None else 53.0)
+
+    monkeypatch.setattr(trials, "refitted", refit)
+    monkeypatch.setattr(trials, "begun", lambda *given: [])
+    monkeypatch.setattr(Controls, "of", lambda *asked, **more: None)
+    found = phases.tested(evidence, CONFIG)
+    Trials.of(asked, found.prior, found.test, replace(CONFIG, refitted=3)).with_refits()
+    assert reaches == {"wind": -np.inf, "quadratic_drag": pytest.approx(53.0), "creep": -np.inf}
 
 
 def test_how_much_less_a_hand_holds_than_was_told(evidence):
