@@ -32,7 +32,7 @@ from .outcome import Outcome, verdict_of
 from .suitable import suitable
 from .swings import Faster, faster, swing_of
 
-__all__ = ["Asked", "ask", "asked", "informed", "sound_twin", "told_twin"]
+__all__ = ["Asked", "ask", "asked", "informed", "leaves_less", "sound_twin", "told_twin"]
 
 LOST = 0.5  # of the motion: a twin that misses more was fitted to nonsense, and what a little of an effect does to it means nothing. Where
 # it misses less, effects of the catalogue say what a hand does, and a hand that goes where it likes would explain much that none did
@@ -88,6 +88,14 @@ def _coarse(config: DiagnosisConfig, recordings: Sequence[Scenario]) -> Config:
     return Config(coarse=config.cells, refinement=0, recordings=None if is_marked(recordings[0], config) else len(recordings))
 
 
+def leaves_less(told: ContinuumTwin, twin: ContinuumTwin, recordings: Sequence[Scenario], config: DiagnosisConfig) -> bool:
+    """Whether ``told`` misses less of the train frames of ``recordings`` than ``twin``, which has nothing that it has not; no, where it
+    diverges there."""
+    with suppress(ValueError):
+        return left(told, recordings, config) < left(twin, recordings, config)
+    return False
+
+
 def told_twin(twin: ContinuumTwin, observed: Sequence[Observed], named: Named, made: Config, *, seed: int = 0) -> ContinuumTwin:
     """``twin`` of ``observed`` with the effect that was ``named``: all numbers fitted again from there on, its amounts among them."""
     effect, values = named.candidate.effect, named.candidate.values(list(named.amounts.values()))
@@ -141,7 +149,7 @@ def asked(
             return Asked(twin, evidence, answer, hold.twin, hold.tracks)
     beside, first = bool(fitted_on or against), answer.named[0] if answer.verdict == "named" else None
     told = _with(first, twin, evidence, config, beside=beside, seed=seed, progress=progress) if first else None
-    if first and told and not (_as_refitted(first, beside) or _leaves_less(told, twin, evidence, config)):
+    if first and told and not (_as_refitted(first, beside) or leaves_less(told, twin, evidence.forward.recordings, config)):
         progress(f"the twin with {first.name} misses more of the fitted frames than without")
         answer, told = withdrawn(answer, evidence), None
     return Asked(twin, evidence, answer, told, faster=_faster(recordings, known) if asking.peers else None)
@@ -236,14 +244,6 @@ def _as_refitted(named: Named, beside: bool) -> bool:
     """Whether the twin with what was named is not fitted again: ``beside`` sound recordings, in which the effect must not act, and of
     faults of what was measured."""
     return beside or named.candidate.effect.seen is not None
-
-
-def _leaves_less(told: ContinuumTwin, twin: ContinuumTwin, evidence: Evidence, config: DiagnosisConfig) -> bool:
-    """Whether ``told`` misses less of the fitted frames than ``twin``, which has nothing that it has not; no, where it diverges there."""
-    recordings = evidence.forward.recordings
-    with suppress(ValueError):
-        return left(told, recordings, config) < left(twin, recordings, config)
-    return False
 
 
 def _refitted_twin(twin: ContinuumTwin, evidence: Evidence, named: Named) -> ContinuumTwin:

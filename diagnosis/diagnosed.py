@@ -8,7 +8,7 @@ from dataclasses import replace
 from ..datasets.scenario import Observed, Scenario
 from ..methods.continuum.config import Config
 from ..methods.continuum.twin import ContinuumTwin
-from .asking import told_twin
+from .asking import leaves_less, told_twin
 from .config import DiagnosisConfig
 from .inference import infer
 from .outcome import verdict_of
@@ -24,7 +24,8 @@ def extend(
 ) -> ContinuumTwin:
     """The twin ``start`` of ``observed`` with what their train frames name, fitted as ``made`` says; a note says what that was.
 
-    Where nothing is named, or one recording cannot tell two names apart, it is the twin as it is.
+    Where nothing is named, one recording cannot tell two names apart, or the twin with the name misses more of what was fitted, it is the
+    twin as it is.
     """
     say = progress or (lambda stage, share: None)
     recordings, config = [Scenario.of(one, UNHELD) for one in observed], DiagnosisConfig(members=members)
@@ -39,7 +40,10 @@ def extend(
         return _noted(start, f"nothing added: {said}")
     first = answer.named[0]
     amounts = ", ".join(f"{name} {value:.3g}" for name, value in first.amounts.items())
-    return _noted(told_twin(start, observed, first, made, seed=seed), f"with {names[0]} ({amounts}): {said}")
+    told = told_twin(start, observed, first, made, seed=seed)
+    if not leaves_less(told, start, recordings, config):
+        return _noted(start, f"nothing added: the twin with {names[0]} ({amounts}) misses more of what was fitted: {said}")
+    return _noted(told, f"with {names[0]} ({amounts}): {said}")
 
 
 def _noted(twin: ContinuumTwin, said: str) -> ContinuumTwin:

@@ -2,20 +2,23 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from blocks import block
 from twinbench.benchmark.challenge.schema import Answer
-from twinbench.datasets.scenario import Plane, Split
-from twinbench.diagnosis import asking
+from twinbench.datasets.scenario import Plane, Scenario, Split
+from twinbench.diagnosis import asking, diagnosed
 from twinbench.diagnosis.asking import ask, informed, sound_twin
 from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.diagnose import diagnose
-from twinbench.diagnosis.diagnosed import extend
+from twinbench.diagnosis.diagnosed import UNHELD, extend
 from twinbench.diagnosis.inference import phases
+from twinbench.diagnosis.inference.evidence import gathered
 from twinbench.diagnosis.inference.refit import Gain
+from twinbench.diagnosis.inference.settling import left
 from twinbench.diagnosis.inference.wander import Wander
 from twinbench.diagnosis.outcome import _probabilities, _why_open, chance_of_listed, chance_of_sound, verdict_of
 from twinbench.diagnosis.page.budget import LAYERS, budget, shares
@@ -291,15 +294,33 @@ def test_wind_is_found_in_two_recordings_and_a_sound_block_is_none(tmp_path):
     assert {part["record"] for part in sound.result["budget"]} == {0, 1}
 
 
+def test_a_diagnosed_twin_keeps_no_name_that_makes_it_miss_more(monkeypatch):
+    observed, made = block("one").observed(), Config(starts=1, iterations=3, refinement=0, members=0)
+    rough, fitted = (Continuum().fitted([observed], one) for one in (replace(made, iterations=0), made))
+    found = SimpleNamespace(named=[SimpleNamespace(amounts={"wind_x": 96.0})], test=SimpleNamespace(p=1e-4))
+    monkeypatch.setattr(diagnosed, "suitable", lambda recordings: None)  # of so few frames nothing is asked
+    monkeypatch.setattr(diagnosed, "infer", lambda *given, **more: found)
+    monkeypatch.setattr(diagnosed, "verdict_of", lambda *given: ("missing", ("wind",)))
+    asked = [Scenario.of(observed, UNHELD)], DiagnosisConfig(members=4)
+    assert left(fitted, *asked) < left(rough, *asked)
+    monkeypatch.setattr(diagnosed, "told_twin", lambda *given, **more: rough)
+    kept = extend([observed], fitted, made, members=4)
+    assert kept.values == fitted.values and kept.note.startswith("nothing added: the twin with wind (wind_x 96) misses more")
+    monkeypatch.setattr(diagnosed, "told_twin", lambda *given, **more: fitted)
+    taken = extend([observed], rough, made, members=4)
+    assert taken.values == fitted.values and taken.note.startswith("with wind (wind_x 96)")
+
+
 @pytest.mark.long
 def test_a_name_whose_twin_misses_more_than_the_sound_one_is_withdrawn(monkeypatch):
     # the twin with the wind that was there misses less; one that misses as much as the sound twin has no use for its name
     made, seen = asking._with, []
     monkeypatch.setattr(asking, "_with", lambda named, twin, *given, **more: seen.append(made(named, twin, *given, **more)) or twin)
+    monkeypatch.setattr(asking, "gathered", partial(gathered, missing=dict.fromkeys(("wind", "quadratic_drag"))))  # few effects are asked
     blown = block("blown", extra=(Wind(),), wind_y=20.0, wind_speed=3.0)
-    found = asking.asked([blown], CONFIG, progress=lambda said: None)
+    found = asking.asked([blown], CONFIG)
     answer, first = found.answer, found.answer.named[0]
-    assert asking._leaves_less(seen[0], found.twin, found.evidence, CONFIG)
+    assert asking.leaves_less(seen[0], found.twin, [blown], CONFIG)
     assert answer.verdict == "unknown" and found.told is None and first.left == 0.0
     assert _why_open(answer, "unknown", CONFIG).endswith("leaves more unexplained than sound twins do.")
     assert all(part.named == 0 for part in answer.budget) and max(part.unexplained for part in answer.budget) > 0
