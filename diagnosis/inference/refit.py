@@ -167,7 +167,8 @@ def refitted(
     fit ended.
 
     sound  what sound twins leave of the rows, each with the likelihood by the others
-    reach  log evidence of a rival: what stays ``config.behind`` nats short of it where its slopes lead is given up where it is
+    reach  log evidence of a rival: what stays ``config.behind`` nats short of it where its slopes lead is given up where it is, with the
+           density there as its evidence
 
     All refits of a recording have the same budget of steps. Slopes are the shared ones at first, or such as are measured at its start,
     corrected after each step by what it missed (``slopes``), and measured again where a step gained less than a fifth of what they
@@ -202,14 +203,16 @@ def _searched(forward, asked, signature, config, sound, start, reach) -> Refit:
         if np.isfinite(there.cost):
             at = there
             jacobian, fresh = search.measured(at, jacobian, low, high, ~held), True
-    first = forward.cost.runs
+    first, given_up = forward.cost.runs, -np.inf
     low[held], high[held] = at.numbers[held], at.numbers[held]
     for _ in range(config.steps):
         if forward.cost.runs - first >= config.runs:
             break
         step, promised = search.step(at, jacobian, low, high)
-        if -search.place(at.numbers + step, at.prediction + jacobian @ step).cost < reach - config.behind:
-            break  # evidence is at most the density of the best place there is
+        led = -search.place(at.numbers + step, at.prediction + jacobian @ step).cost  # at most so much evidence, if slopes are right
+        if led < reach - config.behind:
+            given_up = led
+            break
         for part in TRIALS:
             [found] = search.places([np.clip(at.numbers + part * step, low, high)])
             if np.isfinite(found.cost):
@@ -227,6 +230,7 @@ def _searched(forward, asked, signature, config, sound, start, reach) -> Refit:
         if fresh:
             jacobian = search.measured(at, jacobian, low, high, measured)
     evidence, inverse = search.evidence(at, jacobian)
+    evidence = max(evidence, given_up)
     if search.scale is None:
         return Refit(None, at.numbers, np.zeros(0), np.zeros(0), at.prediction, evidence)
     mistaken = [normal(one, left, jacobian[asked.rows]) for one, left in sound]
