@@ -24,10 +24,9 @@ from .config import DiagnosisConfig
 from .effects import Candidate
 from .effects.grips import HOLD
 from .inference.blocks import Blocks
-from .inference.budget import budget
 from .inference.covariance import Prior
 from .inference.evidence import Evidence
-from .inference.phases import Answer, Named, shortcoming, tested
+from .inference.phases import Answer, Named, budget_of, shortcoming, tested
 from .inference.refit import Gain, Refit, gained
 from .inference.significance import Significance
 
@@ -232,10 +231,7 @@ def believed(hold: Hold, answer: Answer, evidence: Evidence, config: DiagnosisCo
     if next(iter(chances)) != HOLD.name or shortcoming(own, config):
         return answer
     change = hold.prediction - evidence.reference
-    parts = budget(
-        evidence.scatter, answer.prior, evidence.forward.data - evidence.reference, evidence.posterior, change, evidence.forward.missed
-    )
-    return replace(answer, verdict="named", parallel=(), budget=tuple(parts))
+    return replace(answer, verdict="named", parallel=(), budget=budget_of(evidence, answer.prior, evidence.reference, change))
 
 
 def _chances(hold: Hold, answer: Answer) -> dict[str, float]:

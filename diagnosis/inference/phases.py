@@ -25,7 +25,7 @@ from .significance import Significance, fitted_rows, significance, unexplained
 from .trials import Trials, chances_of
 from .wander import Wander, wander
 
-__all__ = ["Answer", "Named", "Tested", "infer", "shortcoming", "tested", "weighed", "withdrawn"]
+__all__ = ["Answer", "Named", "Tested", "budget_of", "infer", "shortcoming", "tested", "weighed", "withdrawn"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +144,7 @@ def weighed(
         chances,
         _parallel(whole, rows, first, e.catalogue, _refuted(named, config), config) if first else (),
         tuple(detectable(scatter, prior, test, e.catalogue, config.level)),
-        tuple(budget(scatter, prior, e.forward.data - sound, e.posterior, change, e.forward.missed)),
+        budget_of(e, prior, sound, change),
         e.forward.cost.runs,
         e.forward.cost.seconds,
         _wandering(e),
@@ -224,9 +224,15 @@ def shortcoming(one: Named, config: DiagnosisConfig) -> str | None:
 
 def withdrawn(answer: Answer, evidence: Evidence) -> Answer:
     """``answer`` without its name, of which the twin that is fitted on with it leaves more than the sound one."""
-    e, first = evidence, replace(answer.named[0], left=0.0)
-    unexplained = budget(e.scatter, answer.prior, e.forward.data - e.reference, e.posterior, np.zeros(len(e.reference)), e.forward.missed)
-    return replace(answer, verdict="unknown", named=(first, *answer.named[1:]), budget=tuple(unexplained))
+    first, reference = replace(answer.named[0], left=0.0), evidence.reference
+    unexplained = budget_of(evidence, answer.prior, reference, np.zeros(len(reference)))
+    return replace(answer, verdict="unknown", named=(first, *answer.named[1:]), budget=unexplained)
+
+
+def budget_of(evidence: Evidence, prior: Prior, sound, change) -> tuple[Budget, ...]:
+    """Of a sound twin that predicts ``sound`` (B,) m, and ``change`` (B,) m, what that of a name predicts otherwise, or zeros."""
+    e = evidence
+    return tuple(budget(e.scatter, prior, e.forward.data - sound, e.posterior, change, e.forward.missed))
 
 
 def _judged_again(one: Named, evidence: Evidence, test: Significance, config: DiagnosisConfig, tell: Callable[[str], object]) -> Named:

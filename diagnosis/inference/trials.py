@@ -77,10 +77,7 @@ class Trials:
         names, found = _in_order(self.test.scores, led)[: self.config.refitted], self
         for own in (names[:1], names[1:]):
             found = further(found, [k for name in own for k in likely[name]])
-        while found.made and len(found.best) < MOST * self.config.refitted:
-            likeliest = next(iter(found.chances))
-            if likeliest in found.best:
-                break
+        while len(found.best) < MOST * self.config.refitted and (likeliest := next(iter(found.chances), None)) not in (None, *found.best):
             found = further(found, likely[likeliest])
         return found
 

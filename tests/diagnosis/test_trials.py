@@ -24,10 +24,10 @@ def evidence():
     return gathered(sound_twin(0.02), [block(extra=(Wind(),), wind_y=20.0, wind_speed=3.0)], CONFIG, missing=asked)
 
 
-def counted(evidence, trials):
+def counted(evidence, none):
     """With refits, and the runs that they took."""
     before = evidence.forward.cost.runs
-    return trials.with_refits(), evidence.forward.cost.runs - before
+    return none.with_refits(), evidence.forward.cost.runs - before
 
 
 @pytest.mark.long
