@@ -9,6 +9,7 @@ import numpy as np
 
 from ...datasets.concealed.world import FPS
 from ...datasets.synthetic.simulate import GRAVITY
+from ...diagnosis.effects.registry import effects
 from ...diagnosis.verdict import NONE, OTHER
 from ...physics.catalogue import terms
 from .schema import NAMED
@@ -133,10 +134,10 @@ class Row:
 
 def amplitude(effect: str, parameters: Mapping[str, Mapping]) -> float:
     """The size of an effect from an answer's parameters: the length of the vector of its amplitudes; NaN where they are not there."""
-    for term in (t for t in terms().values() if t.effect):
-        names = term.stands_for().amplitudes
-        if term.stands_for().name == effect and all(n in parameters for n in names):
-            return float(np.linalg.norm([parameters[n]["value"] for n in names]))
+    told = [(each.name, each.amplitudes) for each in (term.stands_for() for term in terms().values() if term.effect)]
+    told += [(each.name, tuple(amount.name for amount in each.amounts)) for each in effects()]  # those without a term of their own too
+    for names in (names for name, names in told if name == effect and all(n in parameters for n in names)):
+        return float(np.linalg.norm([parameters[n]["value"] for n in names]))
     return float("nan")
 
 
@@ -154,6 +155,7 @@ def physical(part: Mapping, label: Mapping) -> float:
         "rest_shape": lambda: abs(np.log1p(given["strain"])),
         "added_mass": lambda: given["added_g"] / (1000 * body["mass_kg"] - given["added_g"]),
         "controller_delay": lambda: given["frames"] / FPS,
+        "friction_law": lambda: given["static"] - given["kinetic"],
         "grip_points": lambda: np.linalg.norm(given["shift_m"]),
     }
     try:

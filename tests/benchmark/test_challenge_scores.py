@@ -188,6 +188,8 @@ def test_true_sizes_in_the_twins_units():
     assert of("creep", time_s=0.5) == pytest.approx(2.0)
     assert of("added_mass", added_g=4.0) == pytest.approx(4 / 16)  # the label weighs the body with what was added
     assert of("rest_shape", strain=-0.05) == pytest.approx(np.log(1 / 0.95))
+    assert of("friction_law", static=1.0, kinetic=0.25, speed_m_s=0.1) == pytest.approx(0.75)  # by how much more holds at rest
+    assert amplitude("friction_law", {"coulomb_rest_friction": {"value": 0.9}}) == 0.9  # which has no term of its own
     assert of("grip_points", shift_m=[0.03, 0.0, 0.04]) == pytest.approx(0.05)
     assert np.isnan(of("bending", factor=30.0)) and np.isnan(physical({"effect": "wind", "parameters": {}}, {}))
     assert amplitude("gravity_tilt", {f"tilt_{axis}": {"value": v} for axis, v in zip("xyz", (1.0, 2.0, 2.0), strict=True)}) == 3.0
