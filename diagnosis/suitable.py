@@ -135,13 +135,14 @@ def _body(one: Scenario) -> Body:
 
 
 def _alike(first: Body, recording: Scenario, one: Scenario) -> None:
-    """Of one kind, or so near to what parts a rope from a solid that one may be taken for the other: a plush that is ten times as long as
-    wide may touch itself in one recording. And of about one size: the root mean square distance from the middle of a solid, which no pose
-    changes much.
+    """Of one kind, or such that one may be taken for the other. And of about one size: the root mean square distance from the middle of a
+    solid, which no pose changes much.
     """
     body = _body(one)
-    if body.kind != first.kind and not _borders(recording, one):
-        raise ValueError(f"recordings must show one object, got a {first.kind} in {recording.name} and a {body.kind} (scenario {one.name})")
+    if body.kind != first.kind and not _mistaken(recording, one):
+        folded = "; a sheet that begins folded looks like a solid: fit one in which it lies open" if body.kind == "sheet" else ""
+        where = f"(scenario {one.name})"
+        raise ValueError(f"recordings must show one object, got a {first.kind} in {recording.name} and a {body.kind} {where}{folded}")
     if not body.kind == first.kind == "solid":
         return
     sizes = [float(np.sqrt(((b.structure - b.structure.mean(0)) ** 2).sum(1).mean())) for b in (first, body)]
@@ -150,8 +151,12 @@ def _alike(first: Body, recording: Scenario, one: Scenario) -> None:
         raise ValueError(f"recordings must show one object, got one of {said} (scenario {one.name})")
 
 
-def _borders(*recordings: Scenario) -> bool:
-    """Whether one is told to be a rope and the other a solid by lengths that are alike, over their width and in metres."""
-    told = [body_of(one.observed()).evidence for one in recordings]
-    lengths = [[one[name] for one in told] for name in ("length_over_width", "length")]
-    return {one["told"] for one in told} == {"rope", "solid"} and all(max(pair) <= LIKE * min(pair) for pair in lengths)
+def _mistaken(recording: Scenario, one: Scenario) -> bool:
+    """Whether both may be of one kind all the same. A plush that is ten times as long as wide, which is a rope, may touch itself in one of
+    them: lengths are alike then, over their width and in metres. A sheet that begins folded looks like a solid that is as long.
+    """
+    told = [body_of(each.observed()).evidence for each in (recording, one)]
+    slender = ("length_over_width", "length")
+    alike = {("rope", "solid"): slender, ("solid", "rope"): slender, ("sheet", "solid"): ("length",)}
+    names = alike.get(tuple(each["told"] for each in told), ())
+    return bool(names) and all(max(pair) <= LIKE * min(pair) for pair in ([each[name] for each in told] for name in names))

@@ -66,6 +66,29 @@ def test_a_body_between_two_kinds_is_one_object_in_both():
         suitable([stretched(2.4, "short")], [stretched(4.0, "long", seed=1)])
 
 
+def cloth(name, wide=0.3, gap=None):
+    """Tracks of a sheet ``wide`` x 40 cm that is moved along itself: flat, or hung over a bar, so that its halves are ``gap`` m apart."""
+    across, along = np.meshgrid(np.linspace(-wide / 2, wide / 2, 16), np.linspace(0, 0.4, 21), indexing="ij")
+    arc = np.pi / 4 * (gap or 2 * wide)
+    turn, down = np.clip(across / arc, -1, 1) * np.pi / 2, np.clip(np.abs(across) - arc, 0, None)
+    bent = np.stack([gap / 2 * np.sin(turn), along, gap / 2 * np.cos(turn) - down], -1) if gap else np.stack([across, along, 0 * along], -1)
+    moved = np.arange(30)[:, None, None] * [0.0, 0.01, 0.0]
+    points = bent.reshape(-1, 3) + moved + 5e-4 * np.random.default_rng(0).normal(size=(30, bent[..., 0].size, 3))
+    seen, one = np.ones(points.shape[:2], bool), block(name)
+    nothing = dict(surface=np.zeros((0, 3)), interior=np.zeros((0, 3)), controllers=one.controllers[:1].repeat(30, 0))
+    return replace(one, points=points, visible=seen, motion_valid=seen, split=Split(21, 30), **nothing)
+
+
+def test_a_sheet_that_begins_folded_is_the_one_that_lies_open():
+    flat, folded = cloth("flat"), cloth("folded", gap=0.04)
+    assert [body_of(one.observed()).kind for one in (flat, folded)] == ["sheet", "solid"]
+    suitable([flat], [folded])
+    with pytest.raises(ValueError, match=r"a solid in folded and a sheet \(scenario flat\); a sheet that begins folded looks like a solid"):
+        suitable([folded], [flat])
+    with pytest.raises(ValueError, match=r"a sheet in flat and a solid \(scenario small\)$"):
+        suitable([flat], [replace(folded, name="small", points=0.4 * folded.points)])
+
+
 def test_as_many_recordings_are_fitted_as_are_asked(monkeypatch):
     # a fit of a solid takes three at most unless it is told otherwise, of which the numbers of hands would be taken for those of others
     told, settling, ended = [], [], SimpleNamespace(values={}, ended={})
