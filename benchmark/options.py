@@ -10,7 +10,10 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-__all__ = ["DEVICES", "PRESETS", "SPLITS", "Names", "chosen", "chosen_methods", "chosen_metrics", "first_line", "known", "writable"]
+__all__ = [
+    *("DEVICES", "PRESETS", "SPLITS", "Names", "chosen", "chosen_methods", "chosen_metrics", "first_line", "known", "usable"),
+    "writable",
+]
 
 PRESETS, DEVICES, SPLITS = ("quick", "full"), ("cpu", "cuda"), ("published", "clean")
 Names = Annotated[tuple[str, ...], arg(metavar="NAME ...")]
@@ -23,6 +26,14 @@ def known(kind: str, names: Iterable[str], choices: Iterable[str]) -> None:
     for name in names:
         if name not in choices:
             raise unknown(kind, name, choices)
+
+
+def usable(device: str) -> None:
+    """Raises ValueError for an unknown ``device``, or one that this machine has not: better before hours of work than after."""
+    from .provenance import device_name
+
+    known("device", [device], DEVICES)
+    device_name(device)
 
 
 def writable(path: Path, *, option: str = "--out") -> Path:

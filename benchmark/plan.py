@@ -11,6 +11,8 @@ from ..spelling import nearest
 
 __all__ = ["TASKS", "Evaluation", "Fit", "frames", "plan"]
 
+LARGEST_SEED = 2**32 - 1  # that all random number generators take
+
 TASKS = {
     "resimulation": "the train frames after frame 0",
     "prediction": "the test frames, in the same roll-out from frame 0",
@@ -55,7 +57,7 @@ def plan(
 ) -> list[Fit]:
     """Every fit of ``collection``, recording by recording. ``scenarios`` keeps only rows scored on these; none means all.
 
-    Raises ValueError with the nearest known name for an unknown task or scenario.
+    Raises ValueError with the nearest known name for an unknown task or scenario, and for a seed that is none.
     """
     tasks, scenarios = tuple(dict.fromkeys(tasks)), tuple(scenarios)
     for task in tasks:
@@ -72,4 +74,6 @@ def plan(
     if scenarios:
         scored = {sources: [e for e in found if e.target in scenarios] for sources, found in scored.items()}
     methods, seeds = tuple(dict.fromkeys(methods)), tuple(dict.fromkeys(seeds))
+    if wrong := [seed for seed in seeds if not 0 <= seed <= LARGEST_SEED]:
+        raise ValueError(f"seeds must lie in [0, {LARGEST_SEED}], got {wrong[0]}")
     return [Fit(method, sources, seed, tuple(found)) for sources, found in scored.items() if found for method in methods for seed in seeds]

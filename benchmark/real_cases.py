@@ -38,7 +38,10 @@ class Told:
 
 def hand(data: Path) -> Iterator[Told]:
     """Cables held by two hands: told of both, and with either kept from the twin."""
-    for folder in sorted(p for p in (*data.glob("data_set/*"), *data.glob("dataset/*")) if p.is_dir()):
+    folders = sorted(p for p in (*data.glob("data_set/*"), *data.glob("dataset/*")) if p.is_dir())
+    if not folders:
+        raise ValueError(f"{data}: no cables are there; it must hold data_set (DEFORM) or dataset (DEFT), a folder for each cable in it")
+    for folder in folders:
         collection = open_collection(str(folder))
         names = list(collection.scenarios)
         chosen = [collection.load(names[k]) for k in np.linspace(0, len(names) - 1, FITTED + 2).astype(int)]
@@ -51,10 +54,18 @@ def hand(data: Path) -> Iterator[Told]:
                 yield Told(f"{name}, {label} hand kept back", _without(scenario, mine), fitted, "hidden_tether", place)
 
 
+def _beam(data: Path):
+    """The recordings of the cantilever, and that of it without a load."""
+    collection = open_collection(str(data / "softbeam"))
+    bare = next((name for name in collection.scenarios if "gravity" in name), None)
+    if bare is None:
+        raise ValueError(f"{data / 'softbeam'}: no recording without a load, which has gravity in its name, is there")
+    return collection, collection.load(bare)
+
+
 def weight(data: Path) -> Iterator[Told]:
     """A silicone cantilever under its own weight, and with a load on its tip, of which the twin is told nothing."""
-    collection = open_collection(str(data / "softbeam"))
-    bare = collection.load(next(n for n in collection.scenarios if "gravity" in n))
+    collection, bare = _beam(data)
     yield Told("beam, no load", bare, (bare,), "adequate")
     for loaded in (collection.load(name) for name in collection.scenarios if "load" in name):
         yield Told(f"{loaded.name}, load kept back", loaded, (bare,), "added_mass", loaded.points[0, :3].mean(0))
@@ -62,8 +73,7 @@ def weight(data: Path) -> Iterator[Told]:
 
 def gravity(data: Path) -> Iterator[Told]:
     """The cantilever again, the direction of gravity misreported by 20 degrees."""
-    collection = open_collection(str(data / "softbeam"))
-    bare = collection.load(next(n for n in collection.scenarios if "gravity" in n))
+    _, bare = _beam(data)
     angle = np.radians(TILT)
     x, y, z = bare.gravity
     tilted = np.array([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle), z])

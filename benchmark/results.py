@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Results", "read_results", "write_results"]
 
+COLUMNS = ("collection", "method", "task", "scenario")  # without which rows are none of a run
+
 
 @dataclass(frozen=True, repr=False)
 class Results:
@@ -138,9 +140,16 @@ def read_results(folder: Path) -> Results:
         about = json.loads((folder / "about.json").read_text(encoding="utf-8"))
         published = {name: {tuple(key): value for *key, value in found} for name, found in about["published"].items()}
         known = about["units"], about["directions"], published, about["citations"], tuple(about.get("pooled", ()))
-        return Results(rows, *known, about.get("run", {}), folder)
-    except (OSError, ValueError, KeyError, AttributeError) as error:  # pyarrow's errors are ValueErrors or OSErrors
+        found = Results(rows, *known, about.get("run", {}), folder)
+    except KeyError as error:
+        raise ValueError(f"the results in {folder} cannot be read: about.json has no {error}") from error
+    except (OSError, ValueError, TypeError, AttributeError) as error:  # pyarrow's errors are ValueErrors or OSErrors
         raise ValueError(f"the results in {folder} cannot be read: {error}") from error
+    if missing := [name for name in COLUMNS if rows and name not in rows[0]]:
+        raise ValueError(f"the results in {folder} cannot be read: rows.parquet has no column {missing[0]!r}")
+    for name in (name for name in found.units if any(isinstance(row.get(name), str) for row in rows)):
+        raise ValueError(f"the results in {folder} cannot be read: {name} must be numbers in rows.parquet, got text")
+    return found
 
 
 def _about(results: Results) -> dict:

@@ -78,6 +78,8 @@ def recording(
     if "visible" in values:
         if values["visible"].shape != visible.shape:
             raise ValueError(f"visible must have shape {visible.shape}, got {values['visible'].shape}")
+        if not np.isin(values["visible"], (0, 1)).all():
+            raise ValueError(f"visible must be bool, got {values['visible'].dtype} with values other than 0 and 1")
         visible &= values["visible"].astype(bool)
     started = np.isfinite(points[0]).all(axis=1)
     notes = [f"{(~started).sum()} of {len(started)} points have no position in frame 0 and are left out"] if not started.all() else []

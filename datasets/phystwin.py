@@ -82,7 +82,7 @@ def _may_write(folder, overwrite):
         raise ValueError(f"{folder}: a case is a folder, but a file of that name is there")
     if any(folder.iterdir()):
         if not overwrite:
-            raise ValueError(f"{folder}: already exists; pass overwrite=True to replace it")
+            raise ValueError(f"{folder}: already exists; pass overwrite=True (--overwrite) to replace it")
         if not (folder / "final_data.pkl").exists():
             raise ValueError(f"{folder}: is not a case (it has no final_data.pkl), so it is not overwritten")
 

@@ -27,6 +27,7 @@ __all__ = [
 ]
 
 FAR = 1000.0  # m from the origin, in each coordinate: beyond, single precision is coarser than 0.06 mm, and no camera rig reaches
+MIN_FPS = 0.1  # Hz: nothing that moves is told by a frame every ten seconds
 MAX_FPS = 1e4  # Hz: the fastest cameras and motion capture; a frame time in microseconds is more
 MAX_GRAVITY = 100.0  # m/s^2: four times Jupiter's; gravity in mm/s^2 is more
 UNIT = 1e-6  # how far the length of the ground's normal may be from 1
@@ -88,8 +89,8 @@ def _rules(values, shapes):
     if "grips" in good and "points" in good and len(good["grips"]):
         yield from _grips(good["grips"], good["points"].shape[1])
     fps = values.get("fps", 1.0)
-    if not _is_number(fps) or not 0 < fps <= MAX_FPS:
-        yield error("fps", f"must be a number > 0 and at most {MAX_FPS:g} frames per second, got {shown(fps)}")
+    if not _is_number(fps) or not MIN_FPS <= fps <= MAX_FPS:
+        yield error("fps", f"must be a number from {MIN_FPS:g} to {MAX_FPS:g} frames per second, got {shown(fps)}")
     if values.get("correspond", True) is False and "motion_valid" in good and good["motion_valid"].any():
         yield error("motion_valid", f"must be False where points do not correspond, got {count(good['motion_valid'], 'motion')}")
     flags = {name: (bool, np.bool_) for name in ("self_collision", "timed", "correspond")}

@@ -43,7 +43,9 @@ def upright(gravity, ground, points, visible, controllers) -> Findings:
         if (heights < -BELOW).mean() >= SHARE and heights.min() < -DEEP:
             below = f"points and hands lie up to {-heights.min():.2g} m below the table"
             turned = f"gravity {_rounded(-gravity)} and a ground with the normal {_rounded(-ground.normal)}"
-            yield error("gravity", f"points upwards for these data, got {_rounded(gravity)}: {below}. Turned round: {turned}")
+            turned += f" and the offset {0.0 - ground.offset:g}"
+            lower = f"Unless the table lies lower than at its offset {ground.offset:g}, turned round: {turned}"
+            yield error("gravity", f"points upwards for these data, got {_rounded(gravity)}: {below}. {lower}")
 
 
 def _held(up, points, visible, controllers):

@@ -130,10 +130,13 @@ def build_replica(recording: Observed, *, nodes: int, like: Replica | None = Non
 
     A rope (``ropes.rope_chains``) gets chains and hinges along them, whose natural shape is that of frame 0, and no more nodes than its
     thickness leaves in a row; where its markers are few enough, they are the nodes. Other bodies get the hinges of sheets.
+    Raises ValueError where nothing is seen or held in frame 0.
     """
     from scipy.spatial import cKDTree
 
     held = np.unique(recording.grips[recording.grips >= 0])
+    if not recording.visible[0].any() and not len(held):
+        raise ValueError(f"points must be seen in frame 0, got none of {recording.points.shape[1]} (scenario {recording.name})")
     body = like and _laid(recording, like, held, fitted)
     body = body or _drawn(recording, nodes, like, held, fitted)
     hands = np.flatnonzero(recording.grips < 0)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from ..options import DEVICES, PRESETS, Names, known, writable
+from ..options import PRESETS, Names, known, usable, writable
 
 __all__ = ["Export"]
 
@@ -45,7 +45,7 @@ class Export:
 
         known("method", [self.method], [method.name for method in METHODS])
         known("preset", [self.preset], PRESETS)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         cache, folder = Cache(default_cache()), writable(self.out)
         opened = [open_recordings(path, split="published", cache=cache) for path in dict.fromkeys(self.data)]
         alone = list(dict.fromkeys(name for one in opened for name in one.collection.in_domain))

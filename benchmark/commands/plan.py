@@ -9,7 +9,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, PRESETS, Names, known, writable
+from ..options import PRESETS, Names, known, usable, writable
 from ..text import shown
 
 __all__ = ["Plan"]
@@ -57,7 +57,7 @@ class Plan:
         from ..planning.truth import HIDDEN
 
         known("preset", [self.preset], PRESETS)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         known("hidden effect", [self.hidden], HIDDEN)
         if not self.goal:
             known("task", [self.task], tasks())

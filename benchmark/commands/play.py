@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, PRESETS, Names, chosen_methods, known
+from ..options import PRESETS, Names, chosen_methods, known, usable
 from ..text import shown
 
 __all__ = ["Play"]
@@ -54,7 +54,7 @@ class Play:
         if is_diagnosis(self.what) and (self.methods or self.case):
             raise ValueError(f"{self.what} is a diagnosis, which has its own twins and recording: leave --methods and --case away")
         known("preset", [self.preset], PRESETS)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         if not 1 <= self.port <= 65535:
             raise ValueError(f"--port must lie in [1, 65535], got {self.port}")
         methods = chosen_methods(self.methods or ("phystwin",))

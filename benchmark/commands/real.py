@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, known, writable
+from ..options import known, usable, writable
 from ..text import shown
 
 __all__ = ["Real"]
@@ -37,7 +37,7 @@ class Real:
         studies = {"cables": real_cables.run, "commands": real_commands.run, "loads": real_loads.run}
         studies |= dict.fromkeys(real_cases.CASES, partial(real_cases.run, self.study))
         known("study", [self.study], studies)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         options: dict[str, Any] = {"seeds": self.seeds} if self.study == "cables" else {}
         studies[self.study](self.data, writable(self.out), device=self.device, **options)
         print(f"Written to {shown(str(self.out))}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, PRESETS, Names, chosen_methods, known
+from ..options import PRESETS, Names, chosen_methods, known, usable
 from ..text import shown
 
 __all__ = ["Video"]
@@ -47,7 +47,7 @@ class Video:
         from ..progress import Bar
 
         known("preset", [self.preset], PRESETS)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         for path in self.out:
             if path.suffix.lower() not in KINDS:
                 raise ValueError(f"--out must end in {', '.join(KINDS)}, got {path}")

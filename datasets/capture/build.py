@@ -85,7 +85,7 @@ def build(
     """
     out, options = Path(out).resolve(), options or BuildOptions()
     if out.exists() and not overwrite:
-        raise ValueError(f"{out}: already exists; pass overwrite=True to replace it")
+        raise ValueError(f"{out}: already exists; pass overwrite=True (--overwrite) to replace it")
     if not recording.cameras:
         from .from_clouds import build_clouds
 

@@ -32,5 +32,5 @@ def open_raw(path: str | Path) -> RawRecording:
         return read_clouds(path)
     if files := sorted(file for file in path.iterdir() if file.suffix in SUFFIXES):
         return read_realsense(files)
-    looked = f"{' or '.join(NAMES[:2])}, color, depth, calibrate.pkl and metadata.json, or {files}"
+    looked = f"{' or '.join(NAMES[:2])}, color, depth, calibrate.pkl and metadata.json, or files that end in {' or '.join(SUFFIXES)}"
     raise ValueError(f"{path}: not a raw recording; it must have {looked}")

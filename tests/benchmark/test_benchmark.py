@@ -737,6 +737,23 @@ def test_results_that_are_not_there_or_damaged_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"rows.parquet is missing"):
         read_results(tmp_path)
     write_results(Results.of(run(tmp_path), metrics(), [collection()]), tmp_path)
+    whole = pyarrow.parquet.read_table(tmp_path / "rows.parquet")
+    texts = pyarrow.array(["near"] * whole.num_rows)
+    damaged = {
+        "rows.parquet has no column 'method'": whole.drop_columns(["method"]),
+        "chamfer must be numbers in rows.parquet, got text": whole.set_column(whole.column_names.index("chamfer"), "chamfer", texts),
+    }
+    for said, table in damaged.items():
+        pyarrow.parquet.write_table(table, tmp_path / "rows.parquet")
+        with pytest.raises(ValueError, match=f"cannot be read: {said}"):
+            read_results(tmp_path)
+    pyarrow.parquet.write_table(whole, tmp_path / "rows.parquet")
+    known = (tmp_path / "about.json").read_text()
+    for about, said in (("[]", ""), ("{}", "about.json has no 'published'"), ("{", "")):
+        (tmp_path / "about.json").write_text(about)
+        with pytest.raises(ValueError, match=f"cannot be read: {said}"):
+            read_results(tmp_path)
+    (tmp_path / "about.json").write_text(known)
     (tmp_path / "rows.parquet").write_bytes(b"PAR1 and nothing else")
     with pytest.raises(ValueError, match="cannot be read"):
         read_results(tmp_path)

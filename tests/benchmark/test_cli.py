@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from things import write_things
 from twinbench.benchmark.cli import main
+from twinbench.benchmark.provenance import device_name
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +148,9 @@ def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
         (["run", "--methods", "static", "--data", "nowhere"], "no recordings at nowhere: no such file or folder"),
         (["run", "--methods"], "--methods needs at least one value"),
         (["run", "--seeds"], "--seeds needs at least one value"),
+        (["run", "--methods", "static", "--seeds", "4294967296"], "seeds must lie in [0, 4294967295], got 4294967296"),
+        (["run", "--methods", "static", "--seeds=-1"], "seeds must lie in [0, 4294967295], got -1"),
+        (["real", "hand", "--data", "nowhere"], "nowhere: no cables are there; it must hold data_set (DEFORM) or dataset (DEFT)"),
         (["run", "--methods", "static", "--out", __file__], "test_cli.py: not a folder that results can be written to (File exists)"),
         (["table", "nowhere"], "no results in nowhere: rows.parquet is missing"),
         (["table", "nowhere", "--format", "html"], "unknown format 'html'"),
@@ -160,6 +164,16 @@ def test_wrong_input_is_one_line_and_code_2(arguments, message, capsys):
     out, err = capsys.readouterr()
     assert err.startswith("twinbench: ") and message in err and err.count("\n") == 1
     assert "Traceback" not in out + err
+
+
+@pytest.mark.parametrize("command", [["diagnose", "sample/plush_lift"], ["plan", "sample/plush_lift"], ["real", "hand"]])
+def test_a_device_that_is_not_there_is_said_before_any_work(command, capsys, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    device_name.cache_clear()
+    assert main([*command, "--device", "cuda", "--out", "o"]) == 2
+    assert re.fullmatch(
+        r"twinbench: device 'cuda' is not there: torch .* finds no CUDA device; use --device cpu\n", capsys.readouterr().err
+    )
 
 
 def test_a_cache_that_cannot_be_written_is_named(cases, capsys, monkeypatch):

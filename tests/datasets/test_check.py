@@ -249,7 +249,7 @@ FAULTS = {
     "other length": (merge("split.json", frame_len=6), "error", "split.json", "frame_len must be the recording's 5 frames, got 6"),
     "no test": (merge("split.json", train=[0, 5], test=[5, 5]), "warning", "split.json", "test is empty"),
     "split is text": (write("split.json", b"70%"), "error", "split.json", "not a JSON file"),
-    "fps": (merge("metadata.json", fps="30"), "error", "metadata.json", "fps must be a number > 0"),
+    "fps": (merge("metadata.json", fps="30"), "error", "metadata.json", "fps must be a number from 0.1"),
     "frame_num": (merge("metadata.json", frame_num=9), "warning", "metadata.json", "frame_num is 9"),
     "no intrinsics": (merge("metadata.json", intrinsics=[]), "warning", "metadata.json", "no intrinsics"),
     "flat intrinsics": (
@@ -354,7 +354,7 @@ FAULTS = {
         merge("metadata.json", fps=10**9),
         "error",
         "metadata.json",
-        "fps must be a number > 0 and at most 10000 .* got 1000000000",
+        "fps must be a number from 0.1 to 10000 .* got 1000000000",
     ),
     "NaN in intrinsics": (
         merge("metadata.json", intrinsics=[[[math.nan]]]),

@@ -113,6 +113,7 @@ def test_whatever_an_array_is_it_is_a_recording_or_a_value_error(name, shape, va
         (lambda a: a | {"controllers": a["controllers"] + 1}, "controllers must be within reach of the body"),
         (lambda a: a | {"points": a["points"].astype(str)}, "points must hold numbers"),
         (lambda a: a | {"visible": np.ones((3, 3))}, "visible must have shape (10, 4)"),
+        (lambda a: a | {"visible": np.full((10, 4), np.nan)}, "visible must be bool, got float64 with values other than 0 and 1"),
     ],
 )
 def test_wrong_arrays_are_refused(tmp_path, arrays, capsys, change, said):
@@ -127,7 +128,7 @@ def test_wrong_arrays_are_refused(tmp_path, arrays, capsys, change, said):
         ([], "--gravity must say which way is down"),
         (["--gravity", "0", "0", "-9.81", "--unit", "inch"], "unknown unit 'inch'"),
         (["--gravity", "0", "0", "0", "--table", "0"], "gravity must have a direction"),
-        (["--gravity", "0", "0", "-9.81", "--fps", "0"], "fps must be a number > 0"),
+        (["--gravity", "0", "0", "-9.81", "--fps", "0"], "fps must be a number from 0.1"),
         (["--gravity", "0", "0", "-9.81", "--train", "0"], "--train must be a share"),
         (["--gravity", "0", "0", "-9810"], "gravity must be at most 100 m/s^2"),
     ],
@@ -170,7 +171,8 @@ FAULTS = {  # what is wrong with a recording, and what check, run, diagnose and 
     "both upwards": (
         lambda one: replace(one, gravity=[0, 0, 9.8], ground=Plane([0, 0, -1.0])),
         "gravity points upwards for these data, got [0.0, 0.0, 9.8]: points and hands lie up to 0.52 m below the table. "
-        "Turned round: gravity [0.0, 0.0, -9.8] and a ground with the normal [0.0, 0.0, 1.0]",
+        "Unless the table lies lower than at its offset 0, turned round: gravity [0.0, 0.0, -9.8] and a ground with the normal "
+        "[0.0, 0.0, 1.0] and the offset 0",
     ),
     "gravity upwards": (
         lambda one: replace(one, gravity=[0, 0, 9.81]),

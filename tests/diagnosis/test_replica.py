@@ -45,6 +45,12 @@ def test_a_noisy_curved_rope_is_ordered_along_its_arc(seed):
     assert one_way(chain, order)
 
 
+def test_a_body_that_is_not_seen_is_refused_by_name():
+    hidden = replace(recording(helix(60)), name="dark", visible=np.zeros((12, 60), bool), motion_valid=np.zeros((12, 60), bool))
+    with pytest.raises(ValueError, match=r"^points must be seen in frame 0, got none of 60 \(scenario dark\)$"):
+        build_replica(hidden, nodes=30)
+
+
 def test_a_dense_cloud_around_a_rope_is_thinned_until_it_is_a_row():
     # a tube of radius 8 mm: nodes closer than its width would lie around it, not along it
     rng = np.random.default_rng(0)
