@@ -11,7 +11,16 @@ from typing import Annotated
 from tyro.conf import arg
 
 __all__ = [
-    *("DEVICES", "PRESETS", "SPLITS", "Names", "chosen", "chosen_methods", "chosen_metrics", "first_line", "known", "usable"),
+    "DEVICES",
+    "PRESETS",
+    "SPLITS",
+    "Names",
+    "chosen",
+    "chosen_methods",
+    "chosen_metrics",
+    "first_line",
+    "known",
+    "usable",
     "writable",
 ]
 
