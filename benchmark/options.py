@@ -37,12 +37,14 @@ def known(kind: str, names: Iterable[str], choices: Iterable[str]) -> None:
             raise unknown(kind, name, choices)
 
 
-def usable(device: str) -> None:
-    """Raises ValueError for an unknown ``device``, or one that this machine has not: better before hours of work than after."""
+def usable(device: str, executor: str = "local") -> None:
+    """Raises ValueError for an unknown ``device``, or one that this machine has not, if it is the one that works: better before hours of
+    work than after."""
     from .provenance import device_name
 
     known("device", [device], DEVICES)
-    device_name(device)
+    if executor == "local":
+        device_name(device)
 
 
 def writable(path: Path, *, option: str = "--out") -> Path:

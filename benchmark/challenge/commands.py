@@ -108,12 +108,12 @@ class Answer(OnCluster):
 
     def __call__(self) -> int:
         from ...datasets.concealed.folder import Folder
-        from ..options import known
+        from ..options import known, usable
         from .answering import answer_set, take_answers
         from .entrants import entrants
 
         known("preset", [self.preset], ("quick", "full"))
-        known("device", [self.device], ("cpu", "cuda"))
+        usable(self.device, self.executor)
         if self.answers is not None:
             if len(self.entrants) != 1:
                 raise ValueError(f"--answers are sealed under one name, got --entrants {' '.join(self.entrants)}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, PRESETS, known, writable
+from ..options import PRESETS, known, usable, writable
 from ..text import shown
 
 __all__ = ["Concealed"]
@@ -40,7 +40,7 @@ class Concealed:
         from .. import concealed
 
         known("preset", [self.preset], PRESETS)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         how = {"preset": self.preset, "device": self.device, "jobs": self.jobs, "calibrating": self.calibrate, "ceiling": self.ceiling}
         results, labels, scored = concealed.study(self.data, writable(self.out), **how)
         print(concealed.by_effect(results, labels))

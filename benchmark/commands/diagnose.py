@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 from ..cluster_options import OnCluster
-from ..options import DEVICES, PRESETS, known, usable, writable
+from ..options import PRESETS, known, usable, writable
 from ..text import shown
 
 __all__ = ["Diagnose"]
@@ -57,10 +57,7 @@ class Diagnose(OnCluster):
 
         known("twin", [self.twin], TWINS)
         known("preset", [self.preset], PRESETS)
-        if self.executor == "local":
-            usable(self.device)
-        else:
-            known("device", [self.device], DEVICES)
+        usable(self.device, self.executor)
         if self.each:
             return self._each()
         if (given := self.jobs and "--jobs") or (given := self.on_cluster() and f"--executor {self.executor}"):

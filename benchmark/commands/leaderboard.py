@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, PRESETS, Names, chosen_metrics, known, writable
+from ..options import PRESETS, Names, chosen_metrics, known, usable, writable
 from ..text import shown
 
 __all__ = ["Leaderboard"]
@@ -41,7 +41,7 @@ class Leaderboard:
         from ..submissions.format import FILE
 
         known("preset", [self.preset], PRESETS)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         writable(self.out.parent, option="--out")
         metrics, cache = chosen_metrics(self.metrics), Cache(default_cache())
         found = [

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, PRESETS, SPLITS, Names, chosen_metrics, known, writable
+from ..options import PRESETS, SPLITS, Names, chosen_metrics, known, usable, writable
 from ..text import shown
 
 __all__ = ["COMMANDS"]
@@ -101,7 +101,7 @@ class Score:
         from .scoring import score
 
         known("preset", [self.preset], PRESETS)
-        known("device", [self.device], DEVICES)
+        usable(self.device)
         metrics, (cache, opened) = chosen_metrics(self.metrics), _opened(self.folder, self.data)
         place = writable(self.out or Path("results") / name_for([opened.collection.name], read_submission(self.folder).method))
         with Bar(opened.collection.name) as bar:

@@ -166,11 +166,14 @@ def test_wrong_input_is_one_line_and_code_2(arguments, message, capsys):
     assert "Traceback" not in out + err
 
 
-@pytest.mark.parametrize("command", [["diagnose", "sample/plush_lift"], ["plan", "sample/plush_lift"], ["real", "hand"]])
+COMPUTING = [["diagnose", "sample/plush_lift"], ["plan", "sample/plush_lift"], ["real", "hand"], ["challenge", "answer", "."]]
+
+
+@pytest.mark.parametrize("command", COMPUTING)
 def test_a_device_that_is_not_there_is_said_before_any_work(command, capsys, monkeypatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     device_name.cache_clear()
-    assert main([*command, "--device", "cuda", "--out", "o"]) == 2
+    assert main([*command, "--device", "cuda"]) == 2
     assert re.fullmatch(
         r"twinbench: device 'cuda' is not there: torch .* finds no CUDA device; use --device cpu\n", capsys.readouterr().err
     )
