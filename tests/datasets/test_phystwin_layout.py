@@ -439,7 +439,7 @@ BAD = {
     "fractional": (_json("split.json", train=[0, 2.8], test=[2.8, 4]), "split.json: must hold the integers frame_len"),
     "one camera too many": (_json("metadata.json", intrinsics=[np.eye(3).tolist()] * 2), "calibrate.pkl: must hold one"),
     "no size": (_json("metadata.json", WH=8), "metadata.json: WH must be"),
-    "bad fps": (_json("metadata.json", fps=0), r"metadata.json: fps must be a number > 0 .*, got 0"),
+    "bad fps": (_json("metadata.json", fps=0), r"metadata.json: fps must be a number from 0.1 .*, got 0"),
     "unknown key": (_json("scenario.json", gravitation=[0, 0, 1]), r"scenario.json: unknown key 'gravitation'; did you mean 'gravity'\?"),
     "bad ground": (_json("scenario.json", ground={"normal": [0, 0, 2], "offset": 0}), "scenario.json: ground normal must be a unit vector"),
     "bad grips": (_json("scenario.json", grips=[0, 12]), "grips must be -1 or the index of one of the 12 points"),
