@@ -7,7 +7,7 @@ import numpy as np
 from ..datasets.scenario import Observed
 from .sightings import noise_of
 
-__all__ = ["sunk"]
+__all__ = ["is_raised", "sunk"]
 
 SHARE = 0.1  # of the particles that must be as deep: not a few strays
 STRAYS = 1.28  # standard deviations that one in ten normal errors exceeds
@@ -28,5 +28,14 @@ def sunk(recording: Observed) -> float:
     early = slice(len(recording.points) // 2)  # frames that may be fitted
     tracks = np.where(recording.visible[early, :, None], recording.points[early], np.nan)
     depth = -(np.quantile(height, SHARE) + STRAYS * noise_of(tracks))
-    pinned = float((np.abs(height) < ON).mean())
-    return max(0.0, float(np.log(max(depth, 1e-9) / DEEP)), (pinned - PINNED) / EDGE)
+    return max(0.0, float(np.log(max(depth, 1e-9) / DEEP)), (_pinned(recording) - PINNED) / EDGE)
+
+
+def is_raised(recording: Observed) -> bool:
+    """Whether so much of a body lies exactly on the told ground in frame 0 that it was raised onto it: how far below it lay is lost."""
+    return recording.ground is not None and _pinned(recording) > PINNED
+
+
+def _pinned(recording: Observed) -> float:
+    """Share of the particles that lie exactly on the ground in frame 0."""
+    return float((np.abs(recording.ground.height(recording.structure)) < ON).mean()) if recording.ground else 0.0

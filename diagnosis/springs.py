@@ -14,6 +14,7 @@ from ..datasets.scenario import Scenario
 from ..datasets.temporary import replacing
 from .config import of_preset
 from .fit import gaps, mean_error
+from .ground import is_raised
 from .inquiry import PRESETS, Inquiry, Preset, Refit, inquire
 from .keeping import write_tracks, write_twins
 from .locate import clusters
@@ -231,7 +232,10 @@ def _when(inquiry, decision: Decision, chosen, change):
 
 
 def _parameters(chosen, inquiry):
-    """The effect's own parameters, with 90 % intervals from the curvature of the fit."""
+    """The effect's own parameters, with 90 % intervals from the curvature of the fit.
+
+    How far a ground is below the told one is not known where what was seen below was raised onto that.
+    """
     if chosen is None:
         return {}
     fit, hypothesis = chosen.found.fit, chosen.score.hypothesis
@@ -245,6 +249,8 @@ def _parameters(chosen, inquiry):
     for name, value in hypothesis.values.items():
         if name not in out:
             out[name] = {"value": float(value), "unit": units[name], "interval90": [float(value)] * 2}
+    if "ground_raise" in out and is_raised(inquiry.case.recording):
+        out["ground_raise"]["interval90"][0] = None
     return out
 
 

@@ -36,7 +36,8 @@ def facts(result: dict) -> Html:
         value = number(one.get("value"), one.get("unit"))
         interval = one.get("interval90")
         if interval:
-            value += f" (90 % interval: {number(interval[0])} to {number(interval[1])})"
+            low, high = (number(end) for end in interval)
+            value += f" (90 % interval: {'up to ' if interval[0] is None else f'{low} to '}{high})"
         rows.append((name.replace("_", " "), value))
     return Html("<dl>" + "".join(f"<div><dt>{_cell(a)}</dt><dd>{_cell(b)}</dd></div>" for a, b in rows) + "</dl>") if rows else Html()
 

@@ -1,11 +1,15 @@
 """A body below the ground that is told, told from noise, from a few strays and from a body that stands on it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from twinbench.datasets.scenario import Observed, Plane
-from twinbench.diagnosis.ground import DEEP, sunk
+from twinbench.diagnosis.ground import DEEP, is_raised, sunk
+from twinbench.diagnosis.springs import _parameters
+from twinbench.physics.terms.ground_pose import GroundPose
 
 TILTED = np.array([0.3, -0.2, 1.0]) / np.linalg.norm([0.3, -0.2, 1.0])
 
@@ -51,3 +55,15 @@ def test_what_was_raised_onto_the_ground_tells_by_lying_there_exactly():
 
 def test_without_a_ground_nothing_is_below_it():
     assert sunk(lying(np.full(50, -0.1), ground=False)) == 0
+    assert not is_raised(lying(np.zeros(50), ground=False))
+
+
+@pytest.mark.parametrize("heights, lower", [(np.r_[np.zeros(270), np.full(30, 0.002)], None), (np.full(300, -0.02), -0.021)])
+def test_how_far_below_a_body_lay_is_not_known_where_it_was_raised(heights, lower):
+    # what lay 20 mm below and was raised looks as what lay 1 mm below and was raised: no interval of the fit ends below
+    knobs = [SimpleNamespace(name="ground_raise", decode=float), SimpleNamespace(name="ground_tilt_a", decode=float)]
+    fit = SimpleNamespace(model=SimpleNamespace(knobs=knobs), z=np.array([-0.02, 0.0]), covariance=np.eye(2) * (0.001 / 1.645) ** 2)
+    chosen = SimpleNamespace(found=SimpleNamespace(fit=fit), score=SimpleNamespace(hypothesis=SimpleNamespace(term=GroundPose, values={})))
+    said = _parameters(chosen, SimpleNamespace(case=SimpleNamespace(recording=lying(heights))))
+    assert said["ground_raise"]["interval90"] == [pytest.approx(lower) if lower else None, pytest.approx(-0.019)]
+    assert said["ground_tilt_a"]["interval90"] == pytest.approx([-0.001, 0.001])

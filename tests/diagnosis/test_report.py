@@ -155,6 +155,11 @@ def test_the_page_says_what_the_diagnosis_says(diagnosed, tmp_path):
     assert "untested" in text and "83.2 s" in text and "Two tracks were left out" in text
 
 
+def test_an_interval_that_is_open_below_says_how_far_up_it_goes(diagnosed):
+    open_below = {"ground_raise": {"value": -0.0002, "unit": "m", "interval90": [None, 0.0003]}}
+    assert "-0.0002 m (90 % interval: up to 0.0003)" in facts({**diagnosed[0], "parameters": open_below})
+
+
 def test_likely_readings_are_said_where_something_is_missing():
     # the four likeliest, none below one in twenty; where nothing is said to be missing, or one reading is all, they are not
     chances = {"adequate": 0.06, "wind": 0.3, "creep": 0.26, "hidden_tether": 0.04, "pressure": 0.12, "unknown": 0.22}
