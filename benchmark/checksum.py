@@ -16,7 +16,7 @@ import numpy as np
 from ..datasets.scenario import Images, Scenario
 from .cache import Cache
 
-__all__ = ["Checksums", "checksum", "image_checksum", "images_of", "observed_checksum", "observed_of"]
+__all__ = ["Checksums", "checksum", "image_checksum", "images_of", "interaction_of", "observed_checksum", "observed_of"]
 
 USUAL = {"start_frames": (1,), "timed": (True,), "correspond": (True,), "actuation": (None,)}
 
@@ -89,7 +89,7 @@ def _feed(state, value) -> None:
 
 
 class Checksums:
-    """Checksums of recordings by name, and of their images by ``images_of`` and ``observed_of`` that name.
+    """Checksums of recordings by name, and by ``interaction_of``, ``images_of`` and ``observed_of`` that name of what they show.
 
     They are remembered in ``cache`` under ``key`` where there is one.
     """
@@ -103,7 +103,7 @@ class Checksums:
         looked at, and of those kinds of images that a fit sees, ``fitted``.
         """
         fitted = tuple(fitted)
-        wanted = {str: checksum, **({images_of: image_checksum} if images else {})}
+        wanted = {str: checksum, interaction_of: lambda scenario: scenario.interaction, **({images_of: image_checksum} if images else {})}
         if fitted:
             wanted[partial(observed_of, kinds=fitted)] = partial(observed_checksum, kinds=fitted)
         unknown = [name for name in dict.fromkeys(names) if any(of(name) not in self._known for of in wanted)]
@@ -115,8 +115,13 @@ class Checksums:
             self._cache.write("checksums", self._key, self._known)
 
     def __getitem__(self, name: str) -> str:
-        """The checksum of a recording, or of its ``images_of`` or ``observed_of``, which was learnt."""
+        """The checksum of a recording, or of its ``interaction_of``, ``images_of`` or ``observed_of``, which was learnt."""
         return self._known[name]
+
+
+def interaction_of(name: str) -> str:
+    """The name by which the interaction in a recording is known."""
+    return f"{name}\ninteraction"
 
 
 def images_of(name: str) -> str:

@@ -12,13 +12,13 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ..datasets.plugins import unknown
-from ..datasets.scenario import Scenario
+from ..datasets.scenario import ANOTHER_INTERACTION, Scenario
 from ..methods.base import Budget, Method, Trajectory, Twin
 from ..methods.modules import modules_of
 from ..methods.registry import methods as known_methods
 from ..metrics.base import Metric, lacking, scores
 from .cache import Cache, digest
-from .checksum import Checksums, images_of, observed_of
+from .checksum import Checksums, images_of, interaction_of, observed_of
 from .opening import Opened, folder_of
 from .origin import Forerunners, Origin
 from .plan import Evaluation, Fit, frames
@@ -135,13 +135,23 @@ class Runner:
         return [{**self._identity(fit, evaluation), **found[evaluation]} for evaluation in fit.evaluations]
 
     def _lost_rows(self, fit: Fit) -> dict[Evaluation, dict]:
-        """Rows of what cannot be scored because a recording cannot be read, one that is fitted or the one that is scored."""
+        """Rows of what cannot be scored because a recording cannot be read, one that is fitted or the one that is scored; or because what
+        should be a transfer shows what was fitted.
+        """
         found = {}
         for evaluation in fit.evaluations:
             reasons = [self._lost[name] for name in dict.fromkeys((*fit.sources, evaluation.target)) if name in self._lost]
             if reasons:
                 found[evaluation] = self._row({"status": "unreadable", "reason": "; ".join(reasons)}, {})
+            elif evaluation.task == "transfer" and (same := self._repeated(fit, evaluation)):
+                reason = f"{ANOTHER_INTERACTION}, got the same as {same} (scenario {evaluation.target})"
+                found[evaluation] = self._row({"status": "failed", "reason": reason}, {})
         return found
+
+    def _repeated(self, fit: Fit, evaluation: Evaluation) -> str:
+        """The fitted recording that shows the same interaction as the one that is scored, or ""."""
+        scored = self._checksums[interaction_of(evaluation.target)]
+        return next((name for name in fit.sources if self._checksums[interaction_of(name)] == scored), "")
 
     def _scored(self, fit: Fit, report: Progress) -> dict[Evaluation, dict]:
         origins = {evaluation: self.row_origin(fit, evaluation) for evaluation in fit.evaluations}

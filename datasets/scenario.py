@@ -5,6 +5,7 @@ World axes and signs are the recording's own; gravity and the ground plane are t
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol, Self, runtime_checkable
 
@@ -14,10 +15,11 @@ from .findings import Findings, refuse
 from .rules import camera_rules, observed_rules, plane_rules, scenario_rules, split_rules
 from .spacing import spacing
 
-__all__ = ["Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
+__all__ = ["ANOTHER_INTERACTION", "Camera", "Images", "Observed", "Plane", "Scenario", "Split", "TransferPair"]
 
 SEEN = ("points", "visible", "motion_valid", "colors")  # what has frames and is observed
 PER_FRAME = (*SEEN, "controllers", "actuation", "tracks")
+ANOTHER_INTERACTION = "a transfer recording must be another interaction"  # than what is fitted, see ``Observed.interaction``
 FILLED: Any = None  # the default of a field that gets a value when the recording is made, as its docstring says
 
 
@@ -169,6 +171,11 @@ class Observed:
         supplied = len(self.surface) + len(self.interior)
         seen = self.visible[0] if self.correspond or not supplied else np.zeros(len(self.visible[0]), bool)
         return np.concatenate([seen, np.ones(supplied, bool)])
+
+    @property
+    def interaction(self) -> str:
+        """Hexadecimal SHA-256 of the points under their gravity: what is misreported of one interaction is another one."""
+        return hashlib.sha256(f"{self.points.shape}".encode() + self.points.tobytes() + self.gravity.tobytes()).hexdigest()
 
     @property
     def counts(self) -> tuple[int, int, int]:

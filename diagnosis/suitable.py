@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..datasets.scenario import Scenario
+from ..datasets.scenario import ANOTHER_INTERACTION, Scenario
 from ..methods.continuum.bodies import Body, bodies_of
 from ..methods.continuum.body import body_of
 from .config import DiagnosisConfig
@@ -82,11 +82,11 @@ def suitable(
         _enough(one, config)
     for k, one in enumerate(transfer):
         for other in (*recordings, *transfer[:k]):
-            if _same(one, other):
-                raise ValueError(f"a transfer recording must be another interaction, got the same as {other.name} (scenario {one.name})")
+            if one.interaction == other.interaction:
+                raise ValueError(f"{ANOTHER_INTERACTION}, got the same as {other.name} (scenario {one.name})")
     for k, one in enumerate(recordings):
         for other in recordings[:k]:
-            if _same(one, other):
+            if one.interaction == other.interaction:
                 raise ValueError(f"recordings must differ, got {other.name} twice (scenario {one.name})")
     body = _body(first)
     for one in (*recordings[1:], *transfer):
@@ -117,12 +117,6 @@ def _enough(one: Scenario, config: DiagnosisConfig) -> None:
     if not EXTENT[0] <= extent <= EXTENT[1]:
         units = ": these look like millimetres, and metres are meant" if EXTENT[0] <= extent / 1000 <= EXTENT[1] else ""
         raise ValueError(f"a body must be {EXTENT[0]} to {EXTENT[1]} m long, got {extent:.3g} m{units} (scenario {one.name})")
-
-
-def _same(one: Scenario, other: Scenario) -> bool:
-    """Of the same points under the same gravity: what is misreported of it is another recording."""
-    same = one.points.shape == other.points.shape and np.array_equal(one.points, other.points, equal_nan=True)
-    return same and np.array_equal(one.gravity, other.gravity)
 
 
 def _body(one: Scenario) -> Body:

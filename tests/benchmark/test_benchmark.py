@@ -306,6 +306,14 @@ def test_a_recording_that_is_lost_on_the_way_is_a_row_too(tmp_path):
     assert "lift/final_data.pkl" in rows["transfer"]["reason"]
 
 
+def test_a_transfer_to_what_was_fitted_is_refused_by_name(tmp_path):
+    found = collection(drag=made("drag"), copy=replace(made("copy"), session="another"), lift=made("lift", seed=1))
+    found = replace(found, pairs=(TransferPair(("lift", "drag"), "copy"), TransferPair(("lift",), "copy")))
+    rows = run(tmp_path, found, tasks=["transfer"])
+    said = "a transfer recording must be another interaction, got the same as drag (scenario copy)"
+    assert [(row["status"], row["reason"]) for row in rows] == [("failed", said), ("ok", "")] and calls["fit"] == 1
+
+
 # --- what is remembered
 
 
