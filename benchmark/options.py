@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import errno
-import os
 from collections.abc import Iterable
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Annotated
 
 from tyro.conf import arg
@@ -22,6 +21,7 @@ __all__ = [
     "known",
     "usable",
     "writable",
+    "writable_file",
 ]
 
 PRESETS, DEVICES, SPLITS = ("quick", "full"), ("cpu", "cuda"), ("published", "clean")
@@ -51,10 +51,17 @@ def writable(path: Path, *, option: str = "--out") -> Path:
     """``path`` as a folder that can be written to, which is better known before hours of work than after."""
     try:
         path.mkdir(parents=True, exist_ok=True)
-        if not os.access(path, os.W_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        TemporaryFile(dir=path).close()  # permissions do not tell: root has all, also where nothing can be written
     except OSError as error:
         raise ValueError(f"{path}: not a folder that results can be written to ({error.strerror}); choose another with {option}") from error
+    return path
+
+
+def writable_file(path: Path, *, option: str = "--out") -> Path:
+    """``path`` as a file that can be written, as ``writable`` says it of folders."""
+    if path.is_dir():
+        raise ValueError(f"{path}: not a file that can be written (a folder is there); choose another with {option}")
+    writable(path.parent, option=option)
     return path
 
 
@@ -86,6 +93,9 @@ def chosen_metrics(names: Iterable[str] = ()) -> dict:
 
 def chosen(kind: str, names: Iterable[str], found: dict) -> dict:
     """Those of ``found`` that are named, with commas between names or not."""
-    names = [name for entry in names for name in entry.split(",") if name]
+    given = list(names)
+    names = [name for entry in given for name in entry.split(",") if name]
+    if not names:
+        raise ValueError(f"at least one {kind} must be named, got {' '.join(map(repr, given)) or 'none'}")
     known(kind, names, found)
     return {name: found[name] for name in dict.fromkeys(names)}

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import PRESETS, Names, chosen_metrics, known, usable, writable
+from ..options import PRESETS, Names, chosen_metrics, known, usable, writable_file
 from ..text import shown
 
 __all__ = ["Leaderboard"]
@@ -37,13 +37,16 @@ class Leaderboard:
     def __call__(self) -> int:
         from ..cache import Cache, default_cache
         from ..leaderboard_page import gather, write_page
+        from ..opening import open_recordings
         from ..results import read_results
         from ..submissions.format import FILE
 
         known("preset", [self.preset], PRESETS)
         usable(self.device)
-        writable(self.out.parent, option="--out")
+        writable_file(self.out)
         metrics, cache = chosen_metrics(self.metrics), Cache(default_cache())
+        for path in self.data:  # which is wrong also where no submission asks for it
+            open_recordings(path, split="published", cache=cache)
         found = [
             self._scored(folder, metrics, cache) if (folder / FILE).is_file() else read_results(folder)
             for folder in dict.fromkeys(self.folders)

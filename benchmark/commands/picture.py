@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import DEVICES, PRESETS, SPLITS, Names, chosen_methods, chosen_metrics, known
+from ..options import DEVICES, PRESETS, SPLITS, Names, chosen_methods, chosen_metrics, known, writable_file
 from ..text import shown
 
 __all__ = ["Picture"]
@@ -56,6 +56,7 @@ class Picture:
         name = self.scenario or next(iter((*collection.in_domain, *(pair.target for pair in collection.pairs))), "")
         scenario, out = collection.load(name), self.out or Path("results") / collection.name / f"{name}.png"
         drawable(out)
+        writable_file(out)
         with Bar(name) as bar:
             rollouts, fitted = Player(opened, Settings(methods, metrics, self.preset, self.device), cache).play_all(name, self.seed, bar)
         draw(scenario, rollouts, metrics[self.metric], out, fitted=fitted)

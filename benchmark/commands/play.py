@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
-from ..options import PRESETS, Names, chosen_methods, known, usable
+from ..options import PRESETS, Names, chosen_methods, known, usable, writable
 from ..text import shown
 
 __all__ = ["Play"]
@@ -57,6 +57,7 @@ class Play:
         usable(self.device)
         if not 1 <= self.port <= 65535:
             raise ValueError(f"--port must lie in [1, 65535], got {self.port}")
+        writable(next(place for place in (self.out, *self.out.parents) if place.exists()))  # it is made for the first scenario
         methods = chosen_methods(self.methods or ("phystwin",))
         free_port(self.host, self.port)
 

@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from ..cluster_options import OnCluster
-from ..options import Names, writable
+from ..options import Names, writable, writable_file
 from ..text import shown
 
 __all__ = ["Run"]
@@ -68,25 +68,31 @@ class Run(OnCluster):
 
         asked = {name: getattr(self, name) for name in ASKED}
         found = studies(**asked, executor=self.on_cluster())
+        places = [self._places(study, "" if len(found) == 1 else study.experiment.name) for study in found]
         if PRESETS[self.preset].announced and not self.quiet:
             announce(found)
-        failed = [self._run(study, alone=len(found) == 1) for study in found]
+        failed = [self._run(study, *place) for study, place in zip(found, places, strict=True)]
         return 1 if any(failed) else 0
 
-    def _run(self, study, *, alone: bool) -> bool:
-        """One table: computed, written and printed. Whether anything in it failed."""
+    def _places(self, study, own: str) -> tuple[Path, Path | None, Path | None]:
+        """Where a table, its leaderboard and its report go; ``own`` tells it from others of this run."""
         from ..folders import name_for
+
+        place = writable(self.out / own if self.out else Path("results") / name_for(study.collections, study.experiment.name))
+        board = writable(self.leaderboard / own, option="--leaderboard") if self.leaderboard else None
+        report = self.report and writable_file(self.report, option="--report")
+        if report and own:
+            report = writable_file(report.with_stem(f"{report.stem}-{own}"), option="--report")
+        return place, board, report
+
+    def _run(self, study, place: Path, board: Path | None, report: Path | None) -> bool:
+        """One table: computed, written and printed. Whether anything in it failed."""
         from ..published import compared, terminal
         from ..published_figure import undrawable
         from ..run_files import said_of
         from ..status import FAULTS
 
-        experiment, own = study.experiment, "" if alone else study.experiment.name
-        place = writable(self.out / own if self.out else Path("results") / name_for(study.collections, experiment.name))
-        board = writable(self.leaderboard / own, option="--leaderboard") if self.leaderboard else None
-        report = self.report and self.report.with_stem("-".join(filter(None, (self.report.stem, own))))
-        if report:
-            writable(report.parent, option="--report")
+        experiment = study.experiment
         results = study.write(study.run(), place, board=board)
         print("\n\n".join(filter(None, (experiment.says, str(results)))))
         if figures := compared(results):

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..options import PRESETS, Names, chosen_methods, known, usable
+from ..options import PRESETS, Names, chosen_methods, known, usable, writable_file
 from ..text import shown
 
 __all__ = ["Video"]
@@ -51,6 +51,7 @@ class Video:
         for path in self.out:
             if path.suffix.lower() not in KINDS:
                 raise ValueError(f"--out must end in {', '.join(KINDS)}, got {path}")
+            writable_file(path)
         cache = Cache(default_cache())
         with Bar("video") as bar:
             if is_diagnosis(self.what):

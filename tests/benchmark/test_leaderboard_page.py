@@ -281,6 +281,8 @@ def test_runs_and_submissions_stand_on_one_page(tmp_path, monkeypatch, capsys):
         ("leaderboard", "nowhere"): "no results in nowhere",
         ("leaderboard", "subs/static"): "subs/static: its recordings of thing are not in --data sample",
         ("leaderboard", "run", "--out", f"{__file__}/board.html"): "choose another with --out",
+        ("leaderboard", "run", "--out", "run"): "run: not a file that can be written (a folder is there)",
+        ("leaderboard", "run", "--data", "nowhere"): "no recordings at nowhere",
     }.items():
         assert main(list(arguments)) == 2
         assert rule in capsys.readouterr().err

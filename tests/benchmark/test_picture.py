@@ -45,6 +45,7 @@ def test_the_command_writes_a_picture(tmp_path, capsys, out):
         (["--methods", "rgid"], "did you mean 'rigid'"),
         (["--out", "here.pgn"], "must end in one of"),
         (["--preset", "ful"], "did you mean 'full'"),
+        (["--out", f"{__file__}/here.png"], "choose another with --out"),
     ],
 )
 def test_wrong_options_are_refused_before_any_work(tmp_path, capsys, options, message):
