@@ -74,13 +74,13 @@ def _about(folder: Path) -> dict:
     try:
         return read_extra(folder)
     except ValueError:
-        return {"object": None, "session": ""}
+        return {"object": "", "session": ""}
 
 
 def _pairs(about) -> Iterable[TransferPair]:
     yield from (p for p in PAIRS if p.target in about and set(p.sources) <= set(about))
     others = [name for name in about if name not in CASES]
-    alike = ((a, b) for a in others for b in others if a != b and about[a]["object"] == about[b]["object"] is not None)
+    alike = ((a, b) for a in others for b in others if a != b and about[a]["object"] == about[b]["object"] != "")
     yield from (TransferPair((a,), b) for a, b in alike)
 
 

@@ -45,7 +45,8 @@ def reading(folder: Path) -> Findings:
     """All that is wrong with the case in ``folder``, images apart. Returns the arguments of its ``Scenario``, where there is no error."""
     arrays = yield from _arrays(folder / _DATA)
     values = {field: arrays[key] for key, field in ARRAYS.items() if key in arrays}
-    extra = yield from _extra(folder)
+    told, extra = collected(_extra(folder))
+    yield from told
     values |= {key: value for key, value in extra.items() if key != "colors"}
     if "colors" in extra:
         values.pop("colors", None)
@@ -57,7 +58,10 @@ def reading(folder: Path) -> Findings:
     good = yield from changed(scenario_rules(values), lambda finding: _in_file(folder, finding))
     values["cameras"] = yield from read_cameras(folder / _POSES, about)
     yield from changed(_conventions(good), lambda finding: _in_file(folder, finding))
-    good |= {name: values[name] for name in ("ground", "cameras")}
+    good |= {name: values[name] for name in ("ground", "cameras", "correspond")}
+    if any(finding.severity == "error" for finding in told):
+        for name in ("gravity", "ground"):  # the published ones need not be what scenario.json means
+            good.pop(name, None)
     yield from changed(plausible(good), lambda finding: _in_file(folder, finding))
     yield from _labels(folder, len(values["cameras"]))
     if any((folder / kind).is_dir() for kind in ("color", "depth", "mask")):
@@ -179,6 +183,8 @@ def _extra(folder):
         if not isinstance(extra[key], str):
             yield error(key, f"must be a str, got {shown(extra[key])}", file)
             extra[key] = ""
+    if not extra["object"]:
+        yield warning("object", "is empty: which other recordings show it is not known, and no transfer is scored", file)
     for key in ("timed", "correspond"):
         if not isinstance(extra[key], bool):
             yield error(key, f"must be true or false, got {shown(extra[key])}", file)

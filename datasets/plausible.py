@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .findings import Findings, count, error, warning
-from .upright import BELOW, in_metres, upright
+from .upright import BELOW, LARGE, in_metres, upright
 
 __all__ = ["plausible"]
 
@@ -25,8 +25,13 @@ def plausible(values: Mapping[str, Any]) -> Findings:
     points, visible = values.get("points"), values.get("visible")
     if points is None or visible is None:
         return
-    body = np.concatenate([points[0], *(values[name] for name in ("surface", "interior") if name in values)])
-    yield from in_metres(body)
+    body, longest = points[0], "points"
+    for name in ("surface", "interior"):
+        part = values.get(name, ())
+        if len(part) and (yield from _on_body(name, "particle", part, points[0], max(_length(points[0]), _length(part)), 0)):
+            longest = longest if _length(body) > LARGE else name
+            body = np.concatenate([body, part])
+    yield from in_metres(body, longest)
     if (twins := len(body) - len(np.unique(body, axis=0))) > 0:
         yield warning("points", f"{twins} particle{'s' * (twins > 1)} of frame 0 lie on another one: no spring can join them")
     if not values.get("timed", True):
@@ -41,6 +46,8 @@ def plausible(values: Mapping[str, Any]) -> Findings:
         yield warning("points", f"{count(below, 'visible row')} more than {1000 * BELOW:g} mm below the table")
     if "gravity" in values and values.get("controllers") is not None:
         yield from upright(values["gravity"], ground, points, visible, values["controllers"])
+    if values.get("correspond", True):
+        yield from _leaps(points, visible, _length(body))
     if values.get("colors") is not None and not ((values["colors"][visible] >= 0) & (values["colors"][visible] <= 1)).all():
         yield warning("colors", "must lie in [0, 1] at visible points, and does not")
     if values.get("controllers") is not None:
@@ -80,16 +87,38 @@ def _tracks(tracks, points, visible, body):
     there = body if first == 0 else points[first][visible[first]]
     if not len(there):
         return
+    yield from _on_body("tracks", "track", tracks[first][annotated[first]], there, _length(body), first)
+
+
+def _on_body(name, noun, found, there, length, frame):
+    """Whether any of the points ``found`` of ``frame`` is on a body of that length [m] of which the points ``there`` are known."""
     from scipy.spatial import cKDTree
 
-    limit = float(np.ptp(body, axis=0).max()) + REACH
-    distance = cKDTree(there).query(tracks[first][annotated[first]])[0]
+    limit = length + REACH
+    distance = cKDTree(there).query(found)[0]
     far = distance > limit
     if far.all():
         rule = f"must lie on the body, in its units and axes, at most {limit:.3g} m from its points"
-        yield error("tracks", f"{rule}, got {distance.min():.3g} m to the nearest in frame {first}")
+        yield error(name, f"{rule}, got {distance.min():.3g} m to the nearest in frame {frame}")
     elif far.any():
-        yield warning("tracks", f"{count(far, 'track')} more than {limit:.3g} m away from the body in frame {first}")
+        yield warning(name, f"{count(far, noun)} more than {limit:.3g} m away from the body in frame {frame}")
+    return not far.all()
+
+
+def _leaps(points, visible, length):
+    """Noise moves some tracks, and a hand the body bit by bit: only what is missing or joined moves all of it by its length at once."""
+    both = visible[1:] & visible[:-1]
+    with np.errstate(invalid="ignore", over="ignore"):
+        step = np.where(both, np.linalg.norm(np.diff(points, axis=0), axis=2), np.inf).min(axis=1)
+    leaps = both.any(axis=1) & (step > length)
+    if length and leaps.any():
+        at, times = int(leaps.argmax()), count(leaps, "time")
+        said = f"all leap at once by more than the body's length, {length:.3g} m, {times}, first by {step[at]:.3g} m after frame {at}"
+        yield warning("points", f"{said}: are frames missing, or recordings joined?")
+
+
+def _length(body):
+    return float(np.ptp(body, axis=0).max())
 
 
 def _cameras(cameras: Sequence, points, visible, body):

@@ -9,7 +9,7 @@ import numpy as np
 
 from .findings import Findings, error, warning
 
-__all__ = ["BELOW", "in_metres", "upright"]
+__all__ = ["BELOW", "LARGE", "in_metres", "upright"]
 
 SMALL, LARGE = 0.01, 10.0  # m: bodies that tables and cameras are made for
 BELOW = 1e-3  # m: noise of depth cameras at the table
@@ -18,12 +18,12 @@ SHARE = 0.95  # of points and hands, or of frames, that must lie so: a few track
 TOWARDS = 0.5  # cosine of gravity and the ground's normal, from which gravity points away from a table however that leans
 
 
-def in_metres(body: np.ndarray) -> Findings:
-    """Findings about the unit of ``body`` (P, 3), its points of frame 0."""
+def in_metres(body: np.ndarray, longest: str = "points") -> Findings:
+    """Findings about the unit of ``body`` (P, 3), its points of frame 0; ``longest`` is the field that makes it as long as it is."""
     extent = float(np.ptp(body, axis=0).max())
     if extent > LARGE:
         thousandth = f": are these millimetres? Then it is {extent / 1000:.3g} m" if SMALL <= extent / 1000 <= LARGE else ""
-        yield error("points", f"must be in metres, got a body that is {extent:.3g} m long in frame 0{thousandth}")
+        yield error(longest, f"must be in metres, got a body that is {extent:.3g} m long in frame 0{thousandth}")
     elif extent < SMALL:
         yield warning("points", f"the body is {extent:.3g} m long in frame 0: are the units metres?")
 

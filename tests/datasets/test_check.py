@@ -16,6 +16,7 @@ from clean_case import POSE, clean
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from twinbench.datasets.check import Finding, check, check_case
+from twinbench.datasets.collection import open_collection
 from twinbench.datasets.phystwin import read_case, write_case
 
 AWAY = np.array([[1.0, 0, 0, 5], [0, 1, 0, 0], [0, 0, 1, -0.8], [0, 0, 0, 1]])  # neither this nor its inverse sees the body
@@ -375,6 +376,31 @@ FAULTS = {
         "gt_track_3d.pkl",
         "tracks must lie on the body, in its units",
     ),
+    "surface elsewhere": (
+        edit("surface_points", lambda a: np.zeros((4, 3)) + [0, 0, 5]),
+        "error",
+        "final_data.pkl",
+        "surface_points must lie on the body, in its units and axes, at most 0.1 m from its points, got 5.09 m",
+    ),
+    "interior in mm": (
+        edit("interior_points", lambda a: np.array([[10.0, 10, -95], [20, 10, -95]])),
+        "error",
+        "final_data.pkl",
+        "interior_points must lie on the body",
+    ),
+    "a long surface": (
+        edit("surface_points", lambda a: np.array([[0.01, 0, -0.1], [20, 0, -0.1]])),
+        "error",
+        "final_data.pkl",
+        "surface_points must be in metres, got a body that is 20 m long",
+    ),
+    "leaps": (
+        edit(POINTS, lambda a: a + np.where((np.arange(5) >= 3)[:, None, None] & (a != 0).any(-1, keepdims=True), [0.1, 0, 0], 0)),
+        "warning",
+        "final_data.pkl",
+        "object_points all leap at once by more than the body's length, 0.02 m, 1 time, first by 0.1 m after frame 2",
+    ),
+    "no object": (extra(object=""), "warning", "scenario.json", "object is empty: .* no transfer is scored"),
     "one track off": (
         write("gt_track_3d.pkl", put((0, 1), 5)(np.zeros((5, 9, 3)))),
         "warning",
@@ -440,6 +466,30 @@ def test_all_faults_are_reported_at_once(tmp_path):
     for name in names:
         FAULTS[name][0](folder)
     assert {f.file for f in check(folder) if f.severity == "error"} >= {folder / FAULTS[name][2] for name in names}
+
+
+@pytest.mark.parametrize(
+    "content", [b"{", b'{"gravty": [0, 0, 9.8]}', b'{"ground": {"normal": [0, 0, 2], "offset": 0}}', b'{"gravity": "down"}']
+)
+def test_a_wrong_scenario_json_is_one_error_whichever_way_its_data_are(tmp_path, content):
+    folder = clean(tmp_path / "case")
+    upside_down(folder)  # which would be wrong under the published gravity and ground
+    (folder / "scenario.json").write_bytes(content)
+    (wrong,) = [finding for finding in check(folder) if finding.severity == "error"]
+    assert wrong.file == folder / "scenario.json" and "upwards" not in wrong.said
+
+
+def test_recordings_of_no_named_object_are_no_transfer_pairs(tmp_path):
+    for name in "ab":
+        extra(object="")(clean(tmp_path / name))
+    assert open_collection(tmp_path).pairs == ()
+
+
+def test_a_body_that_moves_as_a_whole_over_hidden_frames_does_not_leap(tmp_path):
+    folder = clean(tmp_path / "case")
+    edit(POINTS, lambda a: put(2, 0)(a + np.array([0, 0, 0, 1, 1])[:, None, None]))(folder)
+    edit(SEEN, put(2, False))(folder)
+    assert not [finding for finding in check(folder) if "leap" in finding.said]
 
 
 def test_a_finding_reads_as_one_line(tmp_path):

@@ -43,6 +43,12 @@ def cameras(draw):
     return Camera(np.array([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]]), pose, WIDTH, HEIGHT)
 
 
+def each_once(grips):
+    """A point is driven by the first controller that names it."""
+    first = np.unique(grips, return_index=True)[1]
+    return np.where(np.isin(np.arange(len(grips)), first), grips, -1)
+
+
 @st.composite
 def scenarios(draw):
     """Any scenario without images. Rows of invisible points are zero, which is all that the layout can hold of them."""
@@ -64,7 +70,7 @@ def scenarios(draw):
         fps=draw(st.sampled_from([30.0, 100.0, 29.97, 0.1])),
         gravity=draw(arrays(3, elements=st.floats(-50, 50))),  # m/s^2
         ground=draw(st.none() | st.builds(Plane, unit, NUMBERS)),
-        grips=draw(st.none() | npst.arrays(np.int64, hands, elements=st.integers(-1, count - 1))),
+        grips=draw(st.none() | npst.arrays(np.int64, hands, elements=st.integers(-1, count - 1)).map(each_once)),
         self_collision=draw(st.booleans()),
         object=draw(st.text(max_size=5)),
         session=draw(st.text(max_size=5)),
