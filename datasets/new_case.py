@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from ..spelling import nearest
-from .files import check_file
+from . import npz_file
 from .findings import shown
 from .scenario import Plane, Scenario, Split
 
@@ -32,19 +31,11 @@ def read_arrays(files: Iterable[str | Path]) -> dict[str, np.ndarray]:
     """
     found: dict[str, np.ndarray] = {}
     for file in map(Path, files):
-        check_file(file)
-        try:
-            loaded = np.load(file, allow_pickle=False)
-            arrays = {file.stem: loaded} if isinstance(loaded, np.ndarray) else {name: loaded[name] for name in loaded.files}
-        except (OSError, EOFError, BadZipFile, ValueError, KeyError, MemoryError) as error:
-            raise ValueError(f"{file}: must be an .npy or .npz file of numbers ({shown(str(error))})") from None
-        for name, array in arrays.items():
+        for name, array in npz_file.read_arrays(file).items():
             if name not in NAMES:
                 raise ValueError(f"{file}: unknown array {shown(name)}; {nearest(name, NAMES)}")
             if name in found:
                 raise ValueError(f"{file}: {name} must be given once, got it twice")
-            if array.dtype.kind not in "biuf":
-                raise ValueError(f"{file}: {name} must hold numbers, got dtype {array.dtype}")
             found[name] = array
     return found
 

@@ -41,11 +41,11 @@ def write_case(
     All is written beside ``folder`` and renamed at the end, so that a failure leaves nothing half-written.
     Raises ValueError where ``folder`` exists (unless ``overwrite``, and then only a case is replaced), OSError where the disk is full.
     """
-    folder = Path(folder).resolve()
+    folder, temporary = Path(folder).resolve(), None
     _may_write(folder, overwrite)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".partial", dir=folder.parent))
     try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".partial", dir=folder.parent))
         _write_scenario(temporary, folder.name, scenario)
         label = CASES[folder.name].category if folder.name in CASES else "object"
         pictures = {"color": color, "depth": depth, "masks": masks, "hand_masks": hand_masks}
@@ -56,7 +56,8 @@ def write_case(
         else:
             temporary.rename(folder)
     except BaseException as error:
-        shutil.rmtree(temporary, ignore_errors=True)
+        if temporary:
+            shutil.rmtree(temporary, ignore_errors=True)
         if isinstance(error, OSError):
             raise OSError(error.errno, f"writing the case {folder} failed, nothing of it was kept: {error.strerror or error}") from error
         raise

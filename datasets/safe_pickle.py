@@ -16,6 +16,7 @@ from .pickle_machine import Machine
 
 __all__ = ["array_of", "load", "numbers_of"]
 
+MAX_BYTES = 2**31  # of a file
 BUDGET = 64 << 20  # bytes that any file may make
 BUDGET_PER_BYTE = 16  # and as many more for each byte of it: a pair of small integers, 6 in a file, takes 90 in Python
 MAX_DEPTH = 100  # levels of nesting
@@ -31,8 +32,11 @@ def load(path: str | Path):
     """
     path = Path(path)
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
             raise ValueError(f"{path}: cannot be read (not a file)")
+        if about.st_size > MAX_BYTES:
+            raise ValueError(f"{path}: must hold at most {MAX_BYTES} bytes, got {about.st_size}")
         data = path.read_bytes()
     except (OSError, MemoryError) as error:
         raise ValueError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or type(error).__name__})") from error

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from ..datasets.npz_file import read_arrays
+
 __all__ = ["read", "write"]
 
 
@@ -21,6 +23,5 @@ def write(folder: Path | str, arrays: dict[str, Any], state: dict) -> None:
 
 def read(folder: Path | str) -> tuple[dict[str, np.ndarray], dict]:
     """(arrays, state) that ``write`` wrote; tuples of the state are lists."""
-    with np.load(Path(folder) / "twin.npz", allow_pickle=False) as file:
-        arrays = dict(file)
+    arrays = {name: np.array(array) for name, array in read_arrays(Path(folder) / "twin.npz").items()}  # which may be written to
     return arrays, json.loads((Path(folder) / "twin.json").read_text(encoding="utf-8"))

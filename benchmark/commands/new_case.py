@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +12,8 @@ from ..options import known
 from ..text import shown
 
 __all__ = ["NewCase"]
+
+ABOUT = ("gravity", "table", "unit", "fps", "train", "object")  # the arrays
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class NewCase:
     def __call__(self) -> int:
         from ...datasets.check import check_case
         from ...datasets.findings import refuse
-        from ...datasets.new_case import UNITS, example, read_arrays, recording
+        from ...datasets.new_case import NAMES, UNITS, example, read_arrays, recording
         from ...datasets.phystwin import write_case
         from ...datasets.phystwin_reading import name_of
         from ...datasets.plausible import plausible
@@ -57,9 +59,16 @@ class NewCase:
             if self.gravity is None:
                 raise ValueError("--gravity must say which way is down in the axes of the arrays: 0 0 -9.81 where z points up")
             about = {"fps": self.fps, "unit": self.unit, "train": self.train, "object": self.object}
-            scenario, notes = recording(name, read_arrays(self.arrays), gravity=self.gravity, table=self.table, **about)
-            refuse(plausible(vars(scenario)), where=f" (from {', '.join(map(str, self.arrays))})")
+            arrays, source = read_arrays(self.arrays), f" (from {', '.join(map(str, self.arrays))})"
+            try:
+                scenario, notes = recording(name, arrays, gravity=self.gravity, table=self.table, **about)
+            except ValueError as error:  # of an array, or of an option
+                raise ValueError(f"{error}{source if str(error).startswith(NAMES) else ''}") from None
+            refuse(plausible(vars(scenario)), where=source)
         else:
+            for one in fields(self):
+                if one.name in ABOUT and getattr(self, one.name) != one.default:
+                    raise ValueError(f"--{one.name} says what --arrays are, and none are given")
             scenario, notes = example(name), []
         folder = write_case(self.case, scenario, overwrite=self.overwrite)
         frames, points = scenario.points.shape[:2]

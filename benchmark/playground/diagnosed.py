@@ -6,10 +6,10 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
+from ...datasets.npz_file import read_arrays
 from ...datasets.scenario import Plane, Scenario, Split
 from ...diagnosis.keeping import NAMES, TRACKS, TWINS
 from ...methods.base import Trajectory, Twin
@@ -87,9 +87,8 @@ def _result(folder) -> dict:
 def _read(folder):
     said, path = _result(folder), Path(folder) / TRACKS
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return said, {name: np.asarray(file[name], float) for name in file.files}
-    except (OSError, EOFError, BadZipFile, ValueError, KeyError) as error:
+        return said, {name: np.array(array, float) for name, array in read_arrays(path).items()}
+    except ValueError as error:
         raise ValueError(f"{path}: no tracks of a diagnosis ({error}): diagnose again") from error
 
 

@@ -107,7 +107,7 @@ def test_whatever_an_array_is_it_is_a_recording_or_a_value_error(name, shape, va
     ("change", "said"),
     [
         (lambda a: a | {"hands": a["controllers"]}, "unknown array 'hands'"),
-        (lambda a: {"controllers": a["controllers"]}, "points (frames, points, 3) must be among the arrays"),
+        (lambda a: {"controllers": a["controllers"]}, "points (frames, points, 3) must be among the arrays, got controllers (from "),
         (lambda a: a | {"points": a["points"][0]}, "points must have shape (frames, points, 3), got (4, 3)"),
         (lambda a: a | {"controllers": a["controllers"] * np.nan}, "controllers must be finite"),
         (lambda a: a | {"controllers": a["controllers"] + 1}, "controllers must be within reach of the body"),
@@ -119,7 +119,8 @@ def test_whatever_an_array_is_it_is_a_recording_or_a_value_error(name, shape, va
 def test_wrong_arrays_are_refused(tmp_path, arrays, capsys, change, said):
     file = saved(tmp_path, **change(arrays))
     assert main(["new-case", str(tmp_path / "case"), "--arrays", str(file), "--gravity", "0", "0", "-9.81"]) == 2
-    assert said in capsys.readouterr().err and not (tmp_path / "case").exists()
+    err = capsys.readouterr().err
+    assert said in err and "take.npz" in err and not (tmp_path / "case").exists()
 
 
 @pytest.mark.parametrize(
@@ -135,19 +136,41 @@ def test_wrong_arrays_are_refused(tmp_path, arrays, capsys, change, said):
 )
 def test_wrong_options_are_refused(tmp_path, arrays, capsys, options, said):
     assert main(["new-case", str(tmp_path / "case"), "--arrays", str(saved(tmp_path, **arrays)), *options]) == 2
-    assert said in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert said in err and "take.npz" not in err  # which is not to blame
 
 
-@pytest.mark.parametrize("content", [b"", b"not an archive", b"PK\x03\x04cut"])
+@pytest.mark.parametrize(
+    "option", [["--gravity", "0", "0", "1"], ["--table", "0"], ["--unit", "mm"], ["--fps", "5"], ["--train", "1"], ["--object", "x"]]
+)
+def test_what_arrays_are_is_not_said_without_them(tmp_path, capsys, option):
+    assert main(["new-case", str(tmp_path / "case"), *option]) == 2
+    assert f"{option[0]} says what --arrays are, and none are given" in capsys.readouterr().err and not (tmp_path / "case").exists()
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path, capsys, monkeypatch):
+    (tmp_path / "file").touch()
+    assert main(["new-case", str(tmp_path / "file" / "case")]) == 2
+    assert f"writing the case {tmp_path}/file/case failed, nothing of it was kept" in capsys.readouterr().err
+
+    def full(**_):
+        raise OSError(28, "No space left on device", str(tmp_path / ".case.partial"))
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    assert main(["new-case", str(tmp_path / "case")]) == 2
+    assert "/case failed, nothing of it was kept: No space left on device\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", [b"", b"not an archive", b"PK\x03\x04cut", b"\x93NUMPY\x01\x00\x04\x00\xff\xff\xff\n"])
 def test_files_that_are_no_arrays_are_named(tmp_path, content):
     (tmp_path / "points.npy").write_bytes(content)
-    with pytest.raises(ValueError, match=r"points.npy: must be an .npy or .npz file"):
+    with pytest.raises(ValueError, match=r"points.npy: (points is not an array that numpy wrote|not a complete .npz file)"):
         read_arrays([tmp_path / "points.npy"])
 
 
 def test_pickled_arrays_are_refused(tmp_path):
     np.save(tmp_path / "points.npy", np.array([{}], object), allow_pickle=True)
-    with pytest.raises(ValueError, match=r"points.npy: must be an .npy or .npz file"):
+    with pytest.raises(ValueError, match=r"points.npy: points must hold numbers, got Python objects"):
         read_arrays([tmp_path / "points.npy"])
 
 

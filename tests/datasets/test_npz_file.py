@@ -122,6 +122,26 @@ def test_an_array_that_is_not_what_it_should_be_is_refused(tmp_path, content, ru
     assert str(caught.value).startswith(f"{file}: ") and "\n" not in str(caught.value)
 
 
+@quick
+@given(st.dictionaries(st.sampled_from("abc"), arrays.arrays(np.float32, arrays.array_shapes(min_dims=0)), min_size=1))
+def test_without_names_all_arrays_are_read_of_any_shape(tmp_path, values):
+    np.savez(tmp_path / "a.npz", **values)
+    found = read_arrays(tmp_path / "a.npz")
+    assert list(found) == list(values) and all(np.array_equal(found[name], values[name], equal_nan=True) for name in values)
+    np.save(tmp_path / "one.npy", (first := next(iter(values.values()))))
+    np.testing.assert_array_equal(read_arrays(tmp_path / "one.npy")["one"], first)
+
+
+@pytest.mark.parametrize("name", ["points.npz", "points.npy"])
+def test_an_array_that_claims_terabytes_is_refused_by_file_array_and_size(tmp_path, name):
+    header = array_bytes("(1000, 1000000000, 3)", data=bytes(240))
+    file = members(tmp_path / name, points=header) if name.endswith("z") else tmp_path / name
+    if name.endswith("y"):
+        file.write_bytes(header)
+    with pytest.raises(ValueError, match=r"points.np.: points must take at most 1073741824 bytes, got 12000000000000$"):
+        read_arrays(file)
+
+
 def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path):
     # 60 MB of zeros in 60 kB: the header says how much they would take, and nothing after it is read
     file = members(tmp_path / "a.npz", positions=array_bytes("(10, 500000, 3)", data=bytes(60_000_000)), counts=COUNTS)

@@ -303,6 +303,13 @@ def test_a_hundred_levels_are_read_and_one_more_is_refused(tmp_path, wrap):
         safe_pickle.load(file)
 
 
+def test_a_file_of_terabytes_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "a.pkl").open("wb") as stream:
+        stream.truncate(2**42)  # a hole, which takes no room on the disk
+    with pytest.raises(ValueError, match=r"a.pkl: must hold at most 2147483648 bytes, got 4398046511104"):
+        safe_pickle.load(tmp_path / "a.pkl")
+
+
 def test_only_a_file_is_read(tmp_path):
     os.mkfifo(tmp_path / "pipe.pkl")
     (tmp_path / "loop.pkl").symlink_to(tmp_path / "loop.pkl")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ....datasets.npz_file import read_arrays
 from ....datasets.ply_file import read_vertices
 from ....datasets.scenario import Observed
 from ..goal import Goal
@@ -37,7 +38,7 @@ def read_cloud(path: str | Path) -> np.ndarray:
 def _read(path):
     kind = path.suffix.lower()
     if kind == ".npy":
-        return np.load(path, allow_pickle=False)
+        return read_arrays(path)[path.stem]
     if kind == ".ply":
         vertices = read_vertices(path)
         return np.stack([vertices[axis] for axis in "xyz"], 1)
