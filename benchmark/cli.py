@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
-from .stopping import stoppable
+from .stopping import Stop, stoppable
 from .text import shown
 
 __all__ = ["main"]
@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code. Wrong input is one line on standard error and code 2, never a traceback."""
     with stoppable() as stop:
         try:
-            return _run(sys.argv[1:] if arguments is None else arguments)
+            return _run(sys.argv[1:] if arguments is None else arguments, stop)
         except BrokenPipeError:  # the reader of our output has seen enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
@@ -71,7 +71,7 @@ def main(arguments: list[str] | None = None) -> int:
             return stop.code
 
 
-def _run(arguments: list[str]) -> int:
+def _run(arguments: list[str], stop: Stop) -> int:
     """Imports come here, where Ctrl-C is heard."""
     import tyro
 
@@ -104,6 +104,7 @@ def _run(arguments: list[str]) -> int:
         command = tyro.cli(kind, default=given, prog=name, args=arguments[1:])
     else:
         command = tyro.extras.subcommand_cli_from_dict(commands, prog=prog, description=says, args=arguments)
+    stop.goes_on = getattr(command, "goes_on", True)
     run: Any = command  # every entry of ``commands`` can be called
     with logged(command.log_level) if isinstance(command, Reproducible) else nullcontext():
         return run()

@@ -13,18 +13,21 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-__all__ = ["SAID", "Stop", "stoppable"]
+__all__ = ["Stop", "stoppable"]
 
 GRACE = 0.7  # s: what a command may take to leave by itself
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-SAID = "twinbench: stopped; the same command goes on from here"
+GOES_ON, ANEW = "twinbench: stopped; the same command goes on from here", "twinbench: stopped; the same command begins anew"
 
 
 class Stop:
-    """What a command was told: the ``signal``, 0 while it was told nothing; and whether the user has been ``answered``."""
+    """What a command was told: the ``signal``, 0 while it was told nothing; and whether the user has been ``answered``.
+
+    ``goes_on`` is whether the same command goes on from where it was stopped.
+    """
 
     def __init__(self):
-        self.signal, self.answered = 0, False
+        self.signal, self.answered, self.goes_on = 0, False, True
 
     @property
     def code(self) -> int:
@@ -36,7 +39,7 @@ class Stop:
         if not self.answered:
             self.answered = True
             with suppress(OSError, ValueError):
-                os.write(2, f"{chr(10) if os.isatty(2) else ''}{SAID}\n".encode())
+                os.write(2, f"{chr(10) if os.isatty(2) else ''}{GOES_ON if self.goes_on else ANEW}\n".encode())
 
     def end(self) -> None:
         """End this process and its children at once. Python would first take its libraries apart, for seconds."""

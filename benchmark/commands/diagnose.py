@@ -50,6 +50,11 @@ class Diagnose(OnCluster):
     out: Annotated[Path, arg(metavar="DIR")] = Path("results/diagnosis")
     """Folder for diagnosis.json, report.html and what twinbench video and twinbench play show of them."""
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether the same command goes on from where it was stopped: of one diagnosis nothing is kept before its end."""
+        return self.each
+
     def __call__(self) -> int:
         from ...diagnosis.diagnose import TWINS, diagnose
         from ...diagnosis.page.words import headline, improvement

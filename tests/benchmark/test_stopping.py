@@ -15,11 +15,15 @@ import os, sys
 from twinbench.benchmark import cli
 from twinbench.benchmark.processes import workers
 
-def alone(arguments):
+def alone(arguments, stop):
     print("ready", flush=True)
     BUSY
 
-def spread(arguments):
+def anew(arguments, stop):
+    stop.goes_on = False
+    alone(arguments, stop)
+
+def spread(arguments, stop):
     with workers(2) as pool:
         print(pool.submit(os.getpid).result(), flush=True)
         for future in [pool.submit(eval, "BUSY") for _ in range(2)]:
@@ -29,7 +33,7 @@ cli._run = COMMAND
 if __name__ == "__main__":
     sys.exit(cli.main([]))
 """.replace("BUSY", BUSY)
-ALONE, SPREAD = (PROGRAM.replace("COMMAND", command) for command in ("alone", "spread"))
+ALONE, ANEW, SPREAD = (PROGRAM.replace("COMMAND", command) for command in ("alone", "anew", "spread"))
 
 
 def left(session):
@@ -65,14 +69,32 @@ def stopped(tmp_path, source, number, send=os.killpg):
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="processes are counted in /proc")
 @pytest.mark.parametrize(
-    ("source", "number", "send"),
-    [(ALONE, signal.SIGINT, os.killpg), (SPREAD, signal.SIGINT, os.killpg), (SPREAD, signal.SIGTERM, os.kill)],
-    ids=["native code", "processes, Ctrl-C", "processes, SIGTERM"],
+    ("source", "number", "send", "next"),
+    [
+        (ALONE, signal.SIGINT, os.killpg, "goes on from here"),
+        (ANEW, signal.SIGINT, os.killpg, "begins anew"),
+        (SPREAD, signal.SIGINT, os.killpg, "goes on from here"),
+        (SPREAD, signal.SIGTERM, os.kill, "goes on from here"),
+    ],
+    ids=["native code", "native code, nothing kept", "processes, Ctrl-C", "processes, SIGTERM"],
 )
-def test_a_command_ends_with_its_processes_and_without_a_traceback(tmp_path, source, number, send):
+def test_a_command_ends_with_its_processes_and_without_a_traceback(tmp_path, source, number, send, next):
     code, err, seconds = stopped(tmp_path, source, number, send)
     assert code == 128 + number and seconds < 2
-    assert err == "twinbench: stopped; the same command goes on from here\n"
+    assert err == f"twinbench: stopped; the same command {next}\n"
+
+
+@pytest.mark.parametrize(("options", "goes_on"), [([], False), (["--each"], True)])
+def test_one_diagnosis_keeps_nothing_before_its_end(monkeypatch, capfd, options, goes_on):
+    from twinbench.benchmark.cli import main
+    from twinbench.benchmark.commands.diagnose import Diagnose
+
+    def interrupted(self):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Diagnose, "__call__", interrupted)
+    assert main(["diagnose", "sample/plush_lift", *options]) == 130
+    assert ("goes on from here" in capfd.readouterr().err) == goes_on
 
 
 @pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="processes are counted in /proc")
