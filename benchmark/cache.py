@@ -61,6 +61,8 @@ class Cache:
 
     def __init__(self, root: Path):
         self.root = Path(root)
+        if self.root.exists() and not self.root.is_dir():
+            raise ValueError(f"{self.root}: the cache must be a folder, got a file; TWINBENCH_CACHE names another")
 
     def read(self, kind: str, key: str) -> dict | None:
         """The JSON entry, or None where there is none or it is damaged."""

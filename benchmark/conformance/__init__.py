@@ -71,6 +71,8 @@ def conform(name: str, *, kind: str = "", data: str | Path | None = None) -> Ite
         raise unknown(kind, name, known)
     thing = known[name]
     checks = import_module(f".{kind}s", __package__)  # the engine only for those that need it
+    if data is not None and kind != "layout":
+        raise ValueError(f"--data {data} is for a layout to open, and {name} is a {kind}")
     given = (_recordings(thing, data),) if kind == "layout" else ()
     yield from outcomes(checks.CHECKS, thing if kind == "term" else checks.Subject(thing, *given))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ...datasets.files import open_regular, read_json
-from ...datasets.findings import UNREADABLE, Finding, Findings, attempt, changed, collected, error, refuse, warning
+from ...datasets.findings import UNREADABLE, Finding, Findings, attempt, changed, collected, error, refuse, shown, warning
 from ...datasets.scenario import Scenario
 from ...spelling import nearest
 from ..cache import Cache
@@ -98,15 +98,20 @@ def _rules(folder: Path, opened: Opened, cache: Cache, progress: Progress) -> Fi
 def _coverage(folder: Path, submission: Submission, opened: Opened) -> Findings:
     """Each roll-out that is asked for must be there once, and no other. Returns the keys of those that are asked for."""
     file, asked = folder / FILE, wanted(submission, opened)
-    if submission.rollouts and {one.recording for one in submission.rollouts}.isdisjoint(opened.collection.scenarios):
-        said = f"is {submission.data['collection']!r}, and none of its recordings is among those of {opened.collection.name}"
-        yield error("data.collection", f"{said}: --data names the folder that they are in", file)
+    here = opened.collection.scenarios
+    named = dict.fromkeys(one.recording for one in submission.rollouts)
+    if named and here.keys().isdisjoint(named):
+        said = f"are of {shown(list(named))}, and the recordings of {opened.collection.name} are {shown(list(here))}"
+        yield error("rollouts", f"{said}: --data names the folder that they are in", file)
         return {}
+    for name in submission.data["recordings"]:
+        if name not in here:
+            yield error("data.recordings", f"has the unknown recording {shown(name)}; {nearest(name, here)}", file)
     given = Counter(one.key for one in submission.rollouts)
     for number, one in enumerate(submission.rollouts):
         if one.key not in asked:
-            unknown = [name for name in (one.recording, *one.fitted_on) if name not in opened.collection.scenarios]
-            nearby = f"unknown recording {unknown[0]!r}; {nearest(unknown[0], opened.collection.scenarios)}" if unknown else ""
+            unknown = [name for name in (one.recording, *one.fitted_on) if name not in here]
+            nearby = f"unknown recording {unknown[0]!r}; {nearest(unknown[0], here)}" if unknown else ""
             yield error(f"rollouts[{number}]", f"is not asked for: {nearby or f'{one} is not scored'}", file)
     for key, times in given.items():
         if times > 1:

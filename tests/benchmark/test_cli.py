@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from things import write_things
 from twinbench.benchmark.cli import main
+from twinbench.benchmark.options import writable_file
 from twinbench.benchmark.provenance import device_name
 
 
@@ -147,6 +148,16 @@ def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
         (["run", "--split", "claen"], "unknown split 'claen'; did you mean 'clean'?"),
         (["run", "--methods", "static", "--data", "nowhere"], "no recordings at nowhere: no such file or folder"),
         (["run", "--methods"], "--methods needs at least one value"),
+        (["run", "--methods", ""], "at least one method must be named, got ''"),
+        (["run", "--methods", "static", "--metrics", ","], "at least one metric must be named, got ','"),
+        (["run", "--methods", "static", "--report", f"{__file__}/r.html"], "choose another with --report"),
+        (
+            ["run", "--methods", "static", "--report", "."],
+            ".: not a file that can be written (a folder is there); choose another with --report",
+        ),
+        (["video", "sample/plush_lift", "--methods", "static", "--out", f"{__file__}/r.html"], "choose another with --out"),
+        (["play", "sample/plush_lift", "--methods", "static", "--out", f"{__file__}/played"], "choose another with --out"),
+        (["conform", "static", "--data", "nowhere"], "--data nowhere is for a layout to open, and static is a method"),
         (["run", "--seeds"], "--seeds needs at least one value"),
         (["run", "--methods", "static", "--seeds", "4294967296"], "seeds must lie in [0, 4294967295], got 4294967296"),
         (["run", "--methods", "static", "--seeds=-1"], "seeds must lie in [0, 4294967295], got -1"),
@@ -182,7 +193,18 @@ def test_a_device_that_is_not_there_is_said_before_any_work(command, capsys, mon
 def test_a_cache_that_cannot_be_written_is_named(cases, capsys, monkeypatch):
     monkeypatch.setenv("TWINBENCH_CACHE", os.devnull)
     assert run("--data", cases) == 2
-    assert capsys.readouterr().err.startswith(f"twinbench: {os.devnull}/")
+    assert capsys.readouterr().err.startswith(f"twinbench: {os.devnull}: the cache must be a folder, got a file; TWINBENCH_CACHE names")
+    assert main(["cache", "list"]) == 2
+
+
+def test_where_results_go_is_tried_whoever_asks(tmp_path, monkeypatch):
+    # root may write everywhere by its permissions, and still cannot where the disk refuses
+    def refused(**_):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("twinbench.benchmark.options.TemporaryFile", refused)
+    with pytest.raises(ValueError, match=r"not a folder that results can be written to \(Read-only file system\)"):
+        writable_file(tmp_path / "page.html")
 
 
 def test_version(capsys):

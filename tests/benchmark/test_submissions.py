@@ -414,8 +414,18 @@ def test_all_faults_are_said_at_once(static, opened, cache):
 
 def test_recordings_of_another_data_set_are_one_error_that_says_what_to_do(static, capsys):
     assert main(["submit", "check", str(static)]) == 1  # the sample is what is looked for where --data names nothing
-    said = "data.collection is 'thing', and none of its recordings is among those of sample: --data names the folder that they are in"
+    said = "and the recordings of sample are ['plush_drag', 'plush_lift']: --data names the folder that they are in"
     assert capsys.readouterr().out.count("error  ") == 1 and said in str(check(static, sample(), Cache(Path("cache")))[-1])
+
+
+def test_recordings_that_the_data_set_has_not_are_named(static, opened, cache):
+    spoil(static, put("data", "recordings", "push_9", value="0" * 64))
+    (line,) = [line for line in said(static, opened, cache) if line.startswith("error")]
+    assert "data.recordings has the unknown recording 'push_9'; " in line
+    listed = json.loads((static / "submission.json").read_text())["rollouts"]
+    spoil(static, put("rollouts", value=[one | {"recording": "push_9", "fitted_on": ["push_9"]} for one in listed[:1]]))
+    (line,) = [line for line in said(static, opened, cache) if line.startswith("error")]
+    assert "rollouts are of ['push_9'], and the recordings of " in line
 
 
 def sample():
