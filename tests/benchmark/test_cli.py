@@ -156,7 +156,7 @@ def test_metrics_are_chosen_and_an_appearance_is_fitted_for_images_only(capsys):
             ".: not a file that can be written (a folder is there); choose another with --report",
         ),
         (["video", "sample/plush_lift", "--methods", "static", "--out", f"{__file__}/r.html"], "choose another with --out"),
-        (["play", "sample/plush_lift", "--methods", "static", "--out", f"{__file__}/played"], "choose another with --out"),
+        (["play", "sample/plush_lift", "--host", "no.such.host.invalid", "--out", f"{__file__}/played"], "choose another with --out"),
         (["conform", "static", "--data", "nowhere"], "--data nowhere is for a layout to open, and static is a method"),
         (["run", "--seeds"], "--seeds needs at least one value"),
         (["run", "--methods", "static", "--seeds", "4294967296"], "seeds must lie in [0, 4294967295], got 4294967296"),

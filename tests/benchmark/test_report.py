@@ -124,7 +124,9 @@ MADE = {kind.name: kind for kind in (Hold, Blown, Late, Refusing)}
 
 
 def recording(name):
-    points = np.random.default_rng(0).uniform(-0.1, 0.1, (8, 3)) + 0.01 * np.arange(COUNT)[:, None, None] * np.array([1, 0, 0])
+    points = np.random.default_rng(int(name != "push")).uniform(-0.1, 0.1, (8, 3)) + 0.01 * np.arange(COUNT)[:, None, None] * np.array(
+        [1, 0, 0]
+    )
     seen = np.ones((COUNT, 8), bool)
     seen[5, :4] = False
     return Scenario(
@@ -230,7 +232,7 @@ def test_without_images_there_are_points(bare):
     for one in bare.run["exhibits"]:
         assert one["pictures"] is None and one["no_pictures"] == "the recording has no images"
         recorded, held = unpacked(one["points"]["recorded"]), unpacked(one["points"]["methods"]["hold"])
-        scenario = recording("")
+        scenario = recording(one["name"])
         # half a step of 65534 over some 0.3 m
         np.testing.assert_allclose(recorded, np.where(scenario.visible[..., None], scenario.points, np.nan), atol=5e-6)
         np.testing.assert_allclose(held, np.repeat(scenario.points[:1], COUNT, 0), atol=5e-6)
