@@ -164,7 +164,7 @@ def _grips(grips, points):
     if grips.min() < -1 or grips.max() >= points:
         yield error("grips", f"must be -1 or the index of one of the {points} points, got {shown(grips.tolist())}")
     elif len(driven := grips[grips >= 0]) > len(np.unique(driven)):
-        yield error("grips", f"must name a point once at most, which no two controllers can be, got {shown(grips.tolist())}")
+        yield error("grips", f"must hold a point once, got {shown(grips.tolist())}")
 
 
 def plane_rules(normal, offset) -> Findings:

@@ -98,6 +98,7 @@ def least(config):
 def results(tmp_path_factory):
     """Every method on every recording, with the last as the target of a transfer."""
     made = {name: replace(one, name=name) for name, one in without().items()}
+    made["nothing"] = replace(made["nothing"], gravity=made["nothing"].gravity + [0.01, 0, 0])  # another interaction than its targets
     loaders = {name: (lambda name=name: made[name]) for name in made}
     pairs = tuple(TransferPair(("nothing",), name) for name in made if name != "nothing")
     collection = Collection("lacking", loaders, in_domain=tuple(made), pairs=pairs)

@@ -167,7 +167,7 @@ def test_options_that_the_twin_has_no_use_for_are_refused():
 
 def test_a_continuum_is_asked_of_what_is_tracked_all_over(monkeypatch):
     one = block()
-    markers = replace(one, grips=np.zeros(one.controllers.shape[1], int))
+    markers = replace(one, grips=np.arange(one.controllers.shape[1]))
     hidden = one.visible.copy()
     hidden[0, 15:] = False
     few, cloud = replace(one, visible=hidden, motion_valid=hidden), replace(one, correspond=False, motion_valid=np.zeros_like(one.visible))
