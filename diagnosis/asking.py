@@ -23,6 +23,7 @@ from .holding import believed, explains, held
 from .inference.blocks import is_marked
 from .inference.contrast import comparable, until
 from .inference.evidence import Evidence, gathered
+from .inference.forward import as_run
 from .inference.peers import are_members, compared, there
 from .inference.phases import Answer, Named, tested, weighed, withdrawn
 from .inference.planning import Plan
@@ -300,7 +301,10 @@ def ask(
 def _outcome(
     found: Asked, roles: Mapping[str, Sequence[Scenario]], config: DiagnosisConfig, begun: float, plan: Plan | None = None
 ) -> Outcome:
-    """Of recordings by their roles, those that were asked first."""
+    """Of recordings by their roles, those that were asked first; twins run, and are kept, as they were asked."""
+    first = found.evidence.forward.recordings[0]
+    twin, told = (one and as_run(one, first, config) for one in (found.twin, found.told))
+    found = replace(found, twin=twin, told=told)
     parts = [(one, role) for role, group in roles.items() for one in group]
     runs = [[_run(twin, one, first=not k) for twin in (found.twin, found.told)] for k, (one, _) in enumerate(parts)]
     return Outcome.of(found, parts, runs, config, plan=plan, seconds=time.time() - begun)

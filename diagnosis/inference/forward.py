@@ -26,7 +26,7 @@ from .blocks import Blocks
 from .contrast import Contrast
 from .covariance import Layout
 
-__all__ = ["Cost", "Forward"]
+__all__ = ["Cost", "Forward", "as_run"]
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
@@ -270,6 +270,11 @@ class Forward:
         """Other scenes of the same recordings."""
         made = [replace(s, scene=scene) for s, scene in zip(self.simulators, scenes, strict=True)]
         return replace(self, simulators=tuple(made))
+
+
+def as_run(twin: ContinuumTwin, recording: Scenario, config: DiagnosisConfig) -> ContinuumTwin:
+    """``twin`` of ``recording`` in the cells in which ``Forward`` runs it and its numbers were fitted: in others they suit it less."""
+    return replace(twin, scene=_coarser(twin.scene, recording.observed(), config.cells_of(twin.scene.body)))
 
 
 def _coarser(scene, recording, cells):

@@ -13,7 +13,7 @@ from twinbench.diagnosis.config import DiagnosisConfig
 from twinbench.diagnosis.effects import effects
 from twinbench.diagnosis.inference import scan
 from twinbench.diagnosis.inference.blocks import Blocks, NoTracks
-from twinbench.diagnosis.inference.forward import Forward
+from twinbench.diagnosis.inference.forward import Forward, as_run
 from twinbench.diagnosis.inference.members import affordable, drawn, ran, shared
 from twinbench.diagnosis.inference.phases import Named
 from twinbench.diagnosis.inference.scan import signatures
@@ -77,6 +77,15 @@ def test_clouds_are_refused(recording):
 def test_a_twin_without_a_posterior_is_refused(twin, recording):
     with pytest.raises(ValueError, match="posterior"):
         Forward.of(replace(twin, posterior={}), [recording], CONFIG)
+
+
+def test_what_is_reported_of_a_twin_is_what_the_inference_ran(twin, recording):
+    # its numbers suit the cells of the search, one and a half times as large as those of its scene: errors are taken in the former
+    config = replace(CONFIG, cells=1.5)
+    reference = Forward.of(twin, [recording], config).reference()[0][0]
+    kept, tracks = as_run(twin, recording, config), recording.points.shape[1]
+    np.testing.assert_allclose(kept.rollout(kept.controllers).tracked, reference[:, :tracks], atol=1e-6)  # single precision of 0.1 m
+    assert np.abs(twin.rollout(twin.controllers).tracked - reference[:, :tracks]).max() > 1e-4
 
 
 @pytest.mark.slow
